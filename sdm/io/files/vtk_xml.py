@@ -91,7 +91,11 @@ class VtkFile:
         joined, blocks, begin = _whole(body(int(packed.sum())), int(packed.sum())), [], 0
         for number, length in enumerate(packed.tolist()):
             wanted = last if number == count - 1 else size
-            unpacked = zlib.decompressobj().decompress(joined[begin : begin + length], wanted)
+            # One byte more than is wanted, so that the stream's end is reached, where its checksum is.
+            unpacker = zlib.decompressobj()
+            unpacked = unpacker.decompress(joined[begin : begin + length], wanted + 1)
+            if len(unpacked) > wanted or (len(unpacked) == wanted and not unpacker.eof):
+                raise ValueError(f"block {number} of an array unpacks to other than the {wanted} bytes it declares")
             blocks.append(_whole(unpacked, wanted))
             begin += length
         return b"".join(blocks)

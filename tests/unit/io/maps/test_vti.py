@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,36 @@ def test_arrays(tmp_path):
         path.write_text(image(inside))
         with pytest.raises(FormatError, match=message):
             sdm.load(path)
+
+
+def compressed(values: np.ndarray, block: int) -> tuple[bytes, bytes]:
+    """A file as VTK compresses it, in blocks of so many bytes: what is before the packed blocks, and those."""
+    plain = values.astype("<f4").tobytes(order="F")
+    blocks = [zlib.compress(plain[at : at + block]) for at in range(0, len(plain), block)]
+    counters = [len(blocks), block, len(plain) % block, *map(len, blocks)]
+    x, y, z = values.shape
+    extent = f"0 {x - 1} 0 {y - 1} 0 {z - 1}"
+    head = (
+        '<VTKFile type="ImageData" header_type="UInt32" compressor="vtkZLibDataCompressor">'
+        f'<ImageData WholeExtent="{extent}"><Piece Extent="{extent}"><PointData Scalars="a">'
+        '<DataArray type="Float32" Name="a" format="appended" offset="0"/></PointData></Piece></ImageData>'
+        '<AppendedData encoding="raw">_'
+    )
+    return head.encode() + np.array(counters, "<u4").tobytes(), b"".join(blocks)
+
+
+def test_compressed_values_are_held_against_their_checksum(tmp_path):
+    values = np.random.default_rng(0).integers(0, 9, (4, 5, 6)).astype(np.float32)
+    head, packed = compressed(values, 200)
+    path = tmp_path / "a.vti"
+    path.write_bytes(head + packed + b"</AppendedData></VTKFile>")
+    np.testing.assert_array_equal(sdm.load(path).numpy(), values)
+    for place in range(len(packed)):
+        data = bytearray(packed)
+        data[place] ^= 1 << place % 8
+        path.write_bytes(head + data + b"</AppendedData></VTKFile>")
+        try:
+            found = sdm.load(path)
+        except sdm.SDMError:
+            continue
+        np.testing.assert_array_equal(found.numpy(), values)
