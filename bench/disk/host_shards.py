@@ -24,7 +24,7 @@ import tyro
 
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
-from sdm.dataset.layout import write_shard
+from sdm.dataset.layout import file_of, write_shard
 from sdm.dataset.writer import generate
 from sdm.shapes import Cochlea
 
@@ -56,7 +56,7 @@ class Options:
 
 def rows(options: Options) -> list[dict[str, Any]]:
     """A row for each type and number of threads."""
-    family, found = Cochlea(2000), []
+    family, found = Cochlea(20_000), []
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
             out = Path(folder) / f"{compression}.zarr"
@@ -69,7 +69,7 @@ def rows(options: Options) -> list[dict[str, Any]]:
             for threads in options.threads:
                 measured = [_round(out, job, maps, threads, options) for _ in range(options.rounds)]
                 name = f"{str(dtype).removeprefix('torch.')} {compression}"
-                row = {key: round(min(one[key] for one in measured), 3) for key in ("cpu_ms", "ms")}
+                row = {key: round(min(one[key] for one in measured), 3) for key in ("cpu_ms", "ms", "mb_each")}
                 found.append({"maps": name, "threads": threads, **row, "per_second": round(1e3 / row["ms"], 1)})
     return found
 
@@ -102,6 +102,8 @@ def _round(out: Path, manifest: dict[str, Any], maps: np.ndarray, threads: int, 
             one.result()
     count = len(maps) * options.shards
     spent = {"ms": 1e3 * (time.perf_counter() - start) / count, "cpu_ms": 1e3 * (time.process_time() - cpu) / count}
+    files = (file_of(out, "sdm", number) for number in range(options.shards))
+    spent["mb_each"] = sum(file.stat().st_size for file in files) / 1e6 / count
     shutil.rmtree(scratch)
     return spent
 

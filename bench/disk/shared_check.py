@@ -52,14 +52,14 @@ def command(words: list[str]) -> tuple[int, str, float]:
 def same_files(name: str, words: list[str], folder: Path, first: str) -> dict[str, Any]:
     """A row: the command by one process and by all, and how many files are the same."""
     found, seconds = [], []
-    for device, worth in ((first, share_out.WORTH), ("auto", 0.0)):
-        out, before = folder / device.replace(":", "-") / name, share_out.WORTH
+    for device, start in ((first, share_out.START), ("auto", 0.0)):
+        out, before = folder / device.replace(":", "-") / name, share_out.START
         out.parent.mkdir(exist_ok=True)
-        share_out.WORTH = worth
+        share_out.START = start
         try:
             code, said, spent = command([*words, "-o", str(out), "--device", device])
         finally:
-            share_out.WORTH = before
+            share_out.START = before
         if code:
             raise SystemExit(f"{name} by {device}: exit code {code}: {said}")
         found.append(files_in(out))

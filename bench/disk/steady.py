@@ -16,20 +16,6 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 FIRST, LAST = 0.25, 0.95
 
 
-class Stamps(io.StringIO):
-    """Times at which lines about items were printed."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.times: list[float] = []
-
-    def write(self, text: str) -> int:
-        """Note the time of a line about an item."""
-        if ": " in text:
-            self.times.append(time.perf_counter())
-        return len(text)
-
-
 def rates(begin: float, times: list[float], counts: list[int]) -> dict[str, float]:
     """Items a second of all, and between a quarter and nineteen twentieths of them.
 
@@ -46,12 +32,13 @@ def rates(begin: float, times: list[float], counts: list[int]) -> dict[str, floa
 
 
 def compute_rates(jobs: list[tuple[Path, Path]], resolution: int, processes: list[str], times: StageTimes) -> Any:
-    """Rates of `sdm compute` by processes on these devices; one alone is this process."""
-    settings, stamps = settings_for(resolution, processes[0]), Stamps()
-    begin = time.perf_counter()
-    with redirect_stdout(stamps):
+    """Rates of `sdm compute` by processes on these devices, by the times of its files; one alone is this process."""
+    settings, begin = settings_for(resolution, processes[0]), time.time()
+    # Lines are printed in the order of meshes, and so all of them late where the first one is.
+    with redirect_stdout(io.StringIO()):
         compute(jobs, settings, processes=processes, times=times)
-    return rates(begin, stamps.times, list(range(1, len(stamps.times) + 1)))
+    written = sorted(target.stat().st_mtime for _, target in jobs)
+    return rates(begin, written, list(range(1, len(written) + 1)))
 
 
 def generate_rates(

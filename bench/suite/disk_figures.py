@@ -47,6 +47,23 @@ def shares_in_pairs(record: dict[str, Any]) -> list[float]:
     return [min(row["of_engine"] for row in rows), min(row["of_engine_cpu"] for row in rows)]
 
 
+def by_devices(record: dict[str, Any]) -> list[float]:
+    """Of a dataset by two GPUs and one: maps a second once they run, and thousands of maps and seconds of all."""
+    one, two = (row for row in record["rows"] if row["work"].startswith("generate"))
+    return [two["steady"], one["steady"], one["count"], *(row["count"] / row["of_all"] for row in (two, one))]
+
+
+def starts(record: dict[str, Any]) -> list[float]:
+    """Of maps of meshes: how many, and seconds by one process, and by two, four and eight new ones."""
+    rows = sorted((len(row["processes"]), row) for row in record["rows"] if row["work"].startswith("compute"))
+    return [rows[0][1]["count"], *(row["count"] / row["of_all"] for _, row in rows)]
+
+
+def bytes_of_a_map(record: dict[str, Any]) -> list[float]:
+    """Megabytes of a compressed map."""
+    return [next(row["mb_each"] for row in record["rows"] if row["maps"] == "float32 zstd")]
+
+
 # Words of the page with places for numbers, the record, and what takes them from it.
 PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
     (
@@ -67,6 +84,23 @@ PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
         ),
         "disk-real-cuda",
         shares_of_a_disk,
+    ),
+    ("zstd takes {:.2f} MB of its 1.05", "disk-shards-cpu", bytes_of_a_map),
+    (
+        (
+            "wrote {:,.0f} maps a second by both, where one GPU wrote {:,.0f}, once the processes ran; with their "
+            "start {:,.0f} maps took {:.0f} s and {:.0f} s"
+        ),
+        "disk-devices-cuda",
+        by_devices,
+    ),
+    (
+        (
+            "{:,.0f} meshes at 128^3 took one process that ran already {:.0f} s, and two, four and eight new ones "
+            "{:.0f}, {:.0f} and {:.0f} s"
+        ),
+        "disk-devices-cuda",
+        starts,
     ),
     ("took {:.0f} s, and {:.0f} s in the simulation", "disk-many-cpu", many_files),
     ("of the readers, {:.0f} MB/s (STL) to {:.0f} (PLY)", "disk-readers-cpu", readers),
