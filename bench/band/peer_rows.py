@@ -15,7 +15,7 @@ from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
 from sdm.bench.peers import newton
-from sdm.bench.peers.meshlib import MeshLibCuda
+from sdm.bench.peers.meshlib import MeshLibCuda, signed
 from sdm.bench.peers.physicsnemo import PhysicsNeMo
 from sdm.core.voxel_points import voxel_points
 
@@ -83,12 +83,21 @@ def meshlib_row(asked: Asked) -> dict[str, Any]:
         peer.build(asked.case)
         return query()
 
+    # Those of all voxels, too: what is timed is the same call.
+    ours = sdm.signed_distance(fresh_mesh(asked), asked.near_points).cpu()
+    wrong = [int(((signed(*found) < 0) != (ours < 0)).sum()) for found in (whole(), query())]
+    row |= {"signs_in_band": wrong[0], "signs_of_a_repeated_query": wrong[1]}
     # Both end on the host, where their results are.
     seconds, alone = [], []
     for _ in range(1 + asked.runs):
         seconds.append(once(whole, "cpu")[0] / 1e3)
         alone.append(once(query, "cpu")[0] / 1e3)
     return row | _times(seconds[1:]) | {"query": statistics.median(alone[1:])}
+
+
+def fresh_mesh(asked: Asked) -> sdm.TriangleMesh:
+    """The mesh on the device."""
+    return sdm.TriangleMesh(asked.case.vertices, asked.case.faces, asked.case.name, check=False).to(asked.device)
 
 
 def newton_row(asked: Asked) -> dict[str, Any]:

@@ -6,9 +6,9 @@ Each mesh is written as a PLY file, closed at each resolution and written again,
 
 - `process`: the whole command in a process of its own, Python and torch included; `torch` is what a process takes that
   imports torch alone. Kernels are in Warp's cache: the first such process, which may compile them, is not counted.
-- `call`: the same from file to file in a process that runs on, `first` the first call and `warm` the median of those
-  after it, with the report (exact distances both ways), and `without_report` what reading, closing and writing take
-  without it.
+- `call`: the same from file to file in a process that runs on, once torch, Warp and the command's modules are imported
+  (`imports`): `first` the first call and `warm` the median of those after it, with the report (exact distances both
+  ways), and `without_report` what reading, closing and writing take without it.
 - `folder`: seconds a file of a folder of `--copies` of the mesh, where reading and writing run beside the device.
 
 `closed` says that each edge of what was written has two triangles, one each way.
@@ -54,6 +54,7 @@ def main() -> None:
     report: dict[str, Any] = {"machine": describe(given.device), "runs": given.runs, "copies": given.copies, "rows": []}
     if given.processes:
         report["torch"] = _processes([sys.executable, "-c", "import torch"], given.processes)
+        print("a process that imports torch", *(f"{seconds:.2f}" for seconds in report["torch"]), "s", flush=True)
     for name in given.meshes:
         if (why := missing_note(name)) is not None:
             print(why)
@@ -73,8 +74,8 @@ def main() -> None:
 
 def line(row: dict[str, Any]) -> str:
     """One line of what is printed."""
-    begin = f"{row['mesh']:16}{row['resolution']:>6}: first call {row['first']:.3f} s, warm {row['warm']:.3f}, "
-    rest = f"without report {row['without_report']:.3f}, in a folder {row['folder']:.3f} a file"
+    begin = f"{row['mesh']:16}{row['resolution']:>6}: imports {row['imports']:.2f} s, first call {row['first']:.3f}, "
+    rest = f"warm {row['warm']:.3f}, without report {row['without_report']:.3f}, in a folder {row['folder']:.3f} a file"
     process = f", a process {statistics.median(row['process']):.2f}" if row["process"] else ""
     return begin + rest + process + ("" if row["closed"] else ", NOT CLOSED")
 
@@ -89,8 +90,8 @@ def measure(
     words = [str(source), "-o", str(target), *how]
     row: dict[str, Any] = {"mesh": mesh.name, "triangles": len(mesh), "resolution": resolution}
     row["process"] = _processes([sys.executable, "-m", "sdm.cli", "watertight", *words], processes)
-    calls = _seconds(words, 1 + runs)
-    row |= {"first": calls[0], "warm": statistics.median(calls[1:]), "calls": calls}
+    imports, *calls = _seconds(words, 1 + runs)
+    row |= {"imports": imports, "first": calls[0], "warm": statistics.median(calls[1:]), "calls": calls}
     written = sdm.load_mesh(target)
     row |= {"output_triangles": len(written), "closed": _is_closed(written.faces.numpy())}
     alone = [_without_report(source, target, resolution, device) for _ in range(runs)]
@@ -100,15 +101,17 @@ def measure(
     for number in range(copies):
         save_mesh(mesh, many / f"{number}.ply")
     # A call before it, so that nothing of the process itself is counted.
-    row["folder"] = _seconds([str(many), "-o", str(folder / "closed"), *how], 2)[1] / copies
+    row["folder"] = _seconds([str(many), "-o", str(folder / "closed"), *how], 2)[2] / copies
     return row
 
 
 # Times calls of the command in one process: the number of calls, and its words. Benchmarks do not import commands.
 _CALLS = """
 import contextlib, io, json, sys, time
+begin = time.perf_counter()
+import sdm.cli.surfaces.closing
 from sdm.cli.app import main
-seconds = []
+seconds = [time.perf_counter() - begin]
 for _ in range(int(sys.argv[1])):
     begin = time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -121,7 +124,7 @@ print(json.dumps(seconds))
 
 
 def _seconds(words: list[str], calls: int) -> list[float]:
-    """Seconds of calls of the command in a process of its own, without what the process itself takes."""
+    """Seconds of imports, and of calls of the command, in a process of its own."""
     command = [sys.executable, "-c", _CALLS, str(calls), "watertight", *words]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 

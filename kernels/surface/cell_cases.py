@@ -107,11 +107,16 @@ def _middle(edge: int) -> np.ndarray:
     return place
 
 
-def _cost(one: int, other: int) -> float:
-    """Length of a diagonal between the middles of two edges; infinite where it would lie in a face."""
-    if any(one in edges and other in edges for edges in _FACE_EDGES):
-        return np.inf
-    return float(np.linalg.norm(_middle(one) - _middle(other)))
+def _costs() -> list[list[float]]:
+    """Lengths of diagonals between the middles of two edges; infinite where one would lie in a face."""
+    middles = np.array([_middle(edge) for edge in range(12)])
+    lengths = np.linalg.norm(middles[:, None] - middles, axis=2)
+    for edges in _FACE_EDGES:
+        lengths[np.ix_(edges, edges)] = np.inf
+    return lengths.tolist()
+
+
+_COSTS = _costs()
 
 
 @cache
@@ -125,7 +130,7 @@ def _division(loop: tuple[int, ...]) -> list[tuple[int, int, int]] | None:
             if width == 1:
                 best[begin, end] = (0.0, [])
                 continue
-            diagonal = 0.0 if width == count - 1 else _cost(loop[begin], loop[end])
+            diagonal = 0.0 if width == count - 1 else _COSTS[loop[begin]][loop[end]]
             options = [(best[begin, k][0] + best[k, end][0] + diagonal, k) for k in range(begin + 1, end)]
             cost, k = min(options)
             parts = best[begin, k][1] + best[k, end][1] + [(loop[begin], loop[k], loop[end])]

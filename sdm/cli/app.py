@@ -196,7 +196,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     if (former := renamed(words)) is not None:
         raise UsageError(f"{former}; see sdm {' '.join(words[:2])} --help")
     commands = {}
-    for name in COMMANDS:
+    # The one that is asked for; with another, as of one alone tyro makes no command.
+    for name in COMMANDS if brief else (words[0], "demo" if words[0] != "demo" else "view"):
         module = importlib.import_module(f"sdm.cli.commands.{MODULES.get(name, name)}")
         commands[name] = _later(getattr(module, name.replace("-", "_")), brief)
     said = io.StringIO()

@@ -198,8 +198,10 @@ def _ints(values: np.ndarray) -> tuple[int, int, int]:
 
 def _box_of(grid: Grid, vertices: Tensor, faces: Tensor) -> tuple[np.ndarray, np.ndarray, float]:
     """The least and the largest indices (3,) of the mesh's vertices in a grid, and their largest coordinate."""
-    inverse = torch.from_numpy(np.linalg.inv(grid.affine[:3, :3])).to(vertices.device)
+    inverse = np.linalg.inv(grid.affine[:3, :3])
     used = vertices.detach()[faces.reshape(-1).long()]
-    at = (used.double() - torch.tensor(grid.origin, dtype=torch.float64, device=used.device)) @ inverse.T
+    away = [used[:, k].double() - grid.origin[k] for k in range(3)]
+    # No product of matrices: a process's first one loads cuBLAS, a sixth of a second.
+    at = torch.stack([away[0] * row[0] + away[1] * row[1] + away[2] * row[2] for row in inverse.tolist()], 1)
     found = torch.cat([at.amin(0), at.amax(0), used.abs().amax().double()[None]]).cpu().numpy()
     return found[:3], found[3:6], float(found[6])
