@@ -71,7 +71,8 @@ def narrow_band(
     """The exact signed distances of the voxels near a mesh's surface, in blocks of 8^3: memory grows with the surface.
 
     Args:
-        mesh: Any triangles, as `sdm.signed_distance_map` takes them; or a list of meshes, which gives a list of bands.
+        mesh: Any triangles, as `sdm.signed_distance_map` takes them; or a list of meshes, which gives a list of bands,
+            made one after the other: on a GPU those of a kind that comes again are replayed.
         grid: The voxels; or the length of their edges in the mesh's unit, a `float` or three; or how many there are
             along each axis of a grid around the mesh, a whole number or three. For a list one for all, or a `Grid`
             for each.

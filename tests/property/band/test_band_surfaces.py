@@ -35,6 +35,24 @@ def test_the_mesh_of_a_band_is_that_of_the_map(arrays, shape, half_width, share)
     assert_edges_cancel(found.numpy()[1], len(found.vertices))
 
 
+@settings(max_examples=20)
+@given(closed(), st.sampled_from([(20, 20, 20), (25, 15, 18)]))
+def test_dual_surfaces_with_the_mesh_s_edges_are_closed(arrays, shape):
+    """Whatever points of edges are put in: each edge twice, once each way, and the band's surface is the map's."""
+    mesh = TriangleMesh(*arrays)
+    low, high = mesh.bounds
+    assume((high - low).max() > 0)
+    grid = sdm.Grid.around(mesh, shape, margin=0.3)
+    field = sdm.signed_distance_map(mesh, grid)
+    if not bool((field.values < 0).any()):
+        return
+    whole = field.to_mesh(method="dual", mesh=mesh)
+    found = sdm.narrow_band(mesh, grid, half_width=3.0).to_mesh(method="dual", mesh=mesh)
+    assert torch.equal(found.faces, whole.faces)
+    assert torch.equal(found.vertices, whole.vertices)
+    assert_edges_cancel(found.numpy()[1], len(found.vertices))
+
+
 def test_a_level_beyond_the_band_is_refused():
     mesh = _ball()
     band = sdm.narrow_band(mesh, 24, half_width=2.5)
