@@ -45,6 +45,17 @@ def beside_others(record: Any) -> list[float]:
     ]
 
 
+def beside_meshlib(record: Any) -> list[float]:
+    """Least and most ratios of MeshLib's times of a band to ours, its build counted, then its searches alone.
+
+    Of meshes at which its signs pass: the time of a wrong answer is compared with nothing.
+    """
+    ours = {(r["mesh"], r["resolution"]): r["seconds"] for r in record["rows"] if r["library"] == "sdm"}
+    fine = [r for r in record["rows"] if r["library"] == "MeshLib, CUDA" and r["signs"] == 0]
+    found = [[r[name] / ours[r["mesh"], r["resolution"]] for r in fine] for name in ("seconds", "query")]
+    return [ratio for ratios in found for ratio in spread(ratios)]
+
+
 def watertight_seconds(record: Any) -> list[float]:
     """Seconds of `sdm watertight` of the first mesh: repeated, a file of a folder, the first call of a process."""
     return [record["rows"][0][name] for name in ("warm", "folder", "first")]

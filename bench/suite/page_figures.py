@@ -17,6 +17,7 @@ from typing import Any
 from sdm.bench.common.checkout import checkout, results_folder
 from sdm.bench.suite import disk_figures
 from sdm.bench.suite.band_figures import (
+    beside_meshlib,
     beside_others,
     means_on_a_gpu,
     milliseconds_on_a_gpu,
@@ -260,6 +261,12 @@ FIGURES = (
     Figure(SPEED, "geometric means {:.1f}, {:.1f}, {:.1f} and {:.1f} ms", "band-cuda", means_on_a_gpu),
     Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: beside_others(r)[:1]),
     Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: beside_others(r)[1:]),
+    Figure(
+        SPEED,
+        "{:.0f} and {:.0f} times as long as ours with its build, {:.0f} and {:.0f} times without",
+        "band-meshlib-cuda",
+        beside_meshlib,
+    ),
     Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: milliseconds_on_a_gpu(r)[-2:]),
     Figure(LARGE, "a GPU {:.0f} to {:.0f} MiB for meshes of up to 100,000 triangles", "dense-cuda", _scratch),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
