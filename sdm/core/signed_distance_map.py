@@ -334,8 +334,10 @@ class SDM:
             level: In the mesh's unit. Voxels of less are inside; those of exactly the level are outside.
             method: `"cubes"`, or `"dual"`, whose vertices lie in cells, on sharp edges and corners where there are any.
             mesh: For `"dual"`, the mesh or the `MeshIndex` that the map is of: crossings and normals are then those of
-                its closest points, and edges stay sharp: at level 0 all of an edge at which faces meet by more than
-                30 degrees is within 0.05 voxels of the surface. Without it they are the map's, which blurs edges by a
+                its closest points, and edges stay sharp: at level 0 an edge at which two faces meet by more than
+                30 degrees is meant to be within 0.05 voxels of the surface, as all were on three meshes (edges that
+                faces share by their indices; not those hidden inside). That takes longer the more of them there are,
+                on a scan several times as long. Without it they are the map's, which blurs edges by a
                 voxel.
 
         Returns:

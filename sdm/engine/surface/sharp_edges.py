@@ -18,8 +18,9 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.mesh_index import MeshIndex
 from sdm.topology.face_pairing import neighbours
 
-# Cosine of the angle between two faces from which on their edge is sharp: 30 degrees.
-SHARP = 0.866
+# Cosine of the angle between two faces from which on their edge is sharp: a hundredth of a degree less than 30, so that
+# none of 30 is missed by rounding.
+SHARP = 0.8661
 # In voxels: points of an edge are so far apart, and each ends so near to the surface. Half the one and the other are
 # less than 0.05, within which all of the edge is.
 APART, NEAR = 0.028, 0.035

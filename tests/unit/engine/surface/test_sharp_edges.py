@@ -90,3 +90,11 @@ def test_edges_of_a_mesh():
     assert torch.allclose(ways.norm(dim=1), torch.ones(len(ways), dtype=torch.float64))
     turned = TriangleMesh(mesh.vertices, torch.cat([mesh.faces[:5].flip(1), mesh.faces[5:]]), check=False)
     assert len(edge_points(turned, 0.01).points) == len(points)
+
+
+@pytest.mark.parametrize(("degrees", "sharp"), [(29.9, False), (30.001, True), (31.0, True)])
+def test_an_edge_is_sharp_from_30_degrees_on(degrees, sharp):
+    turn = np.radians(degrees)
+    vertices = np.array([(0, 0, 0), (0, 1, 0), (-1, 0.5, 0), (np.cos(turn), 0.5, np.sin(turn))])
+    mesh = TriangleMesh(vertices, np.array([(0, 1, 2), (1, 0, 3)]), check=False)
+    assert bool(len(edge_points(mesh, 0.1).points)) == sharp
