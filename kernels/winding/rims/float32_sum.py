@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.primitives.fast_math import FUSED
+from sdm.kernels.primitives.wide_numbers import NUMBERS
 from sdm.kernels.winding.boundary_term import Boundary, edges_of
 
 wp.set_module_options({"enable_backward": False})
@@ -35,91 +35,71 @@ SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.1 * UNIT, 8.0 * UNIT, 16.0 * UNIT
 LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 
 
-# Turns (re, im) by the strip of an edge with its ends a and b off, where `ey` and `ez` are of b - a.
-_TURN = f"""
-    {FUSED}
-#if defined(__CUDA_ARCH__)
-#define RIM_ROOT(x) [](float y) {{ float r; asm("sqrt.approx.f32 %0, %1;" : "=f"(r) : "f"(y)); return r; }}(x)
-#define RIM_QUOTIENT(x, y) __fdividef(x, y)
-#else
-#define RIM_ROOT(x) sqrtf(x)
-#define RIM_QUOTIENT(x, y) ((x) / (y))
-#endif
-    float re = 1.0f, im = 0.0f, turns = 0.0f, error = 0.0f;
-    int steps = 0;
-    auto turn = [&](float ax, float ay, float az, float bx, float by, float bz, float ey, float ez) {{
-        const float aside_a = FUSED(ay, ay, az * az), aside_b = FUSED(by, by, bz * bz);
-        const float la = RIM_ROOT(FUSED(ax, ax, aside_a)), lb = RIM_ROOT(FUSED(bx, bx, aside_b));
-        const float far_a = la + fabsf(ax), far_b = lb + fabsf(bx);
-        const float sa = ax > 0.0f ? RIM_QUOTIENT(aside_a, far_a) : far_a;
-        const float sb = bx > 0.0f ? RIM_QUOTIENT(aside_b, far_b) : far_b;
-        const float along = FUSED(ay, by, az * bz);
-        const float x = FUSED(sa, sb, along), y = FUSED(az, ey, -(ay * ez));
-        const float sx = fabsf(x), sy = fabsf(y), most = sx < sy ? sy : sx, both = la + lb;
-        const float dx = {PARTS}f * FUSED(sa, sb, fabsf(along) + sy) + {SNAP_ALONG}f * both;
-        const float dy = {ACROSS}f * (fabsf(az * ey) + fabsf(ay * ez)) + {SNAP_ACROSS}f * both;
-        const bool known = most > 10.0f * (dx + dy) && most < {LARGEST}f && (x > 0.0f || sy > dy);
-        const float inverse = RIM_QUOTIENT(1.0f, most), part = sy * inverse;
-        error += known ? {SECOND}f * inverse * FUSED(part, dx, dy) + FUSED({TURNED_MORE}f, part, {TURNED}f) : INFINITY;
-        const float u = known && x < sy ? x * inverse : 1.0f, v = known ? y * inverse : 0.0f;
-        const float new_re = FUSED(re, u, -(im * v)), new_im = FUSED(re, v, im * u);
-        turns += im >= 0.0f && v > 0.0f && new_im < 0.0f ? 1.0f : 0.0f;
-        turns -= im < 0.0f && v < 0.0f && new_im >= 0.0f ? 1.0f : 0.0f;
+# Turns (re, im) by the strips of edges with their ends a and b off, where `ey` and `ez` are of b - a, if they are there.
+TURN = f"""
+    T re = one, im = none, turns = none, error = none;
+    int turned = 0;
+    auto turn = [&](T ax, T ay, T az, T bx, T by, T bz, T ey, T ez, M there) {{
+        const T aside_a = ay * ay + az * az, aside_b = by * by + bz * bz;
+        const T la = root(ax * ax + aside_a), lb = root(bx * bx + aside_b);
+        const T far_a = la + size_of(ax), far_b = lb + size_of(bx);
+        const T sa = where(ax > none, over(aside_a, far_a), far_a), sb = where(bx > none, over(aside_b, far_b), far_b);
+        const T along = ay * by + az * bz, x = sa * sb + along, y = az * ey - ay * ez;
+        const T sx = size_of(x), sy = size_of(y), most = most_of(sx, sy), both = la + lb;
+        const T dx = {PARTS}f * (sa * sb + size_of(along) + sy) + {SNAP_ALONG}f * both;
+        const T dy = {ACROSS}f * (size_of(az * ey) + size_of(ay * ez)) + {SNAP_ACROSS}f * both;
+        const M known = (most > 10.0f * (dx + dy)) & (most < all({LARGEST}f)) & ((x > none) | (sy > dy));
+        const T inverse = over(one, most), part = sy * inverse;
+        const T off = {SECOND}f * inverse * (part * dx + dy) + ({TURNED_MORE}f * part + {TURNED}f);
+        error = error + where(there, where(known, off, unknown), none);
+        const T u = where(known & there & (x < sy), x * inverse, one), v = where(known & there, y * inverse, none);
+        const T new_re = re * u - im * v, new_im = re * v + im * u;
+        turns = turns + where((im >= none) & (v > none) & (new_im < none), one, none);
+        turns = turns - where((im < none) & (v < none) & (new_im >= none), one, none);
         re = new_re;
         im = new_im;
         // A factor is between 1 and 1.5: this is long before an overflow.
-        steps += 1;
-        if (steps % 32 == 0 && fabsf(re) + fabsf(im) > {LARGEST_PRODUCT}f) {{
-            re *= {SHRINK}f;
-            im *= {SHRINK}f;
+        turned += 1;
+        if (turned % 32 == 0) {{
+            const T shrink = where(size_of(re) + size_of(im) > all({LARGEST_PRODUCT}f), all({SHRINK}f), one);
+            re = re * shrink;
+            im = im * shrink;
         }}
     }};
 """
-_SHARE = f"""
-    const float angle = atan2f(im, re) + {2.0 * wp.PI}f * turns;
-    return wp::vec2(angle / {2.0 * wp.PI}f, (error + {SUMMED}f * (1.0f + fabsf(angle))) / {2.0 * wp.PI}f);
+SHARES = f"""
+    float share = 0.0f, off = 0.0f;
+    for (int k = 0; k < WIDE; ++k) {{
+        const float angle = atan2f(get(im, k), get(re, k)) + {2.0 * wp.PI}f * get(turns, k);
+        share += angle / {2.0 * wp.PI}f;
+        off += (get(error, k) + {SUMMED}f * (1.0f + fabsf(angle))) / {2.0 * wp.PI}f;
+    }}
 """
 
 
 @wp.func_native(
     snippet=f"""
-    {_TURN}
-    for (int e = lane; e < count; e += lanes) {{
-        const auto* at = ends.data + 2 * (first + e);
-        const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
-        const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
-        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2]);
+    {NUMBERS}
+    {TURN}
+    for (int e = WIDE * lane; e < count; e += WIDE * lanes) {{
+        T ax = one, ay = one, az = one, bx = one, by = one, bz = one, ey = one, ez = one, weight = none;
+        for (int k = 0; k < WIDE; ++k) {{
+            if (e + k < count) {{
+                const auto* at = ends.data + 2 * (size_t)(first + e + k);
+                put(ax, k, at[0].c[0] - p.c[0]); put(ay, k, at[0].c[1] - p.c[1]); put(az, k, at[0].c[2] - p.c[2]);
+                put(bx, k, at[1].c[0] - p.c[0]); put(by, k, at[1].c[1] - p.c[1]); put(bz, k, at[1].c[2] - p.c[2]);
+                put(ey, k, at[1].c[1] - at[0].c[1]); put(ez, k, at[1].c[2] - at[0].c[2]);
+                put(weight, k, 1.0f);
+            }}
+        }}
+        turn(ax, ay, az, bx, by, bz, ey, ez, weight > none);
     }}
-    {_SHARE}
+    {SHARES}
+    return wp::vec2(share, off);
 """
 )
 def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, lane: int, lanes: int) -> wp.vec2:
     """A lane's part of the share of so many edges of the winding number at p (scaled), and the largest error of it."""
-    ...
-
-
-@wp.func_native(
-    snippet=f"""
-    {_TURN}
-    for (int i = lane; i < count; i += lanes) {{
-        const auto* at = ends.data + 2 * stack.data[start + i];
-        const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
-        const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
-        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2]);
-    }}
-    {_SHARE}
-"""
-)
-def listed_sum(
-    ends: wp.array(dtype=wp.vec3),
-    stack: wp.array(dtype=wp.int32),
-    start: int,
-    count: int,
-    p: wp.vec3,
-    lane: int,
-    lanes: int,
-) -> wp.vec2:
-    """`rim_sum` of the edges listed from a place on."""
     ...
 
 

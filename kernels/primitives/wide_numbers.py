@@ -1,0 +1,39 @@
+"""Arithmetic on eight numbers at once on a CPU, which has registers for as many, and on one in each lane of a GPU."""
+
+from __future__ import annotations
+
+# Native text that defines numbers T, masks M, how WIDE they are, and what is done with them. A CPU makes products and sums
+# one operation, with one rounding, as a GPU does: for sums whose bits nobody wants again.
+NUMBERS = """
+#if defined(__CUDA_ARCH__)
+    typedef float T;
+    typedef bool M;
+    constexpr int WIDE = 1;
+    auto root = [](T x) { T r; asm("sqrt.approx.f32 %0, %1;" : "=f"(r) : "f"(x)); return r; };
+    auto over = [](T x, T y) { return __fdividef(x, y); };
+    auto where = [](M m, T x, T y) { return m ? x : y; };
+    auto size_of = [](T x) { return fabsf(x); };
+    auto all = [](float x) { return x; };
+    auto put = [](T& x, int k, float y) { x = y; };
+    auto get = [](T x, int k) { return x; };
+    auto has = [](M m, int k) { return m; };
+    auto any = [](M m) { return m; };
+#else
+    #pragma clang fp contract(fast)
+    typedef float T __attribute__((vector_size(32)));
+    typedef int M __attribute__((vector_size(32)));
+    constexpr int WIDE = 8;
+    auto root = [](T x) { for (int k = 0; k < 8; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
+    auto over = [](T x, T y) { return x / y; };
+    auto where = [](M m, T x, T y) { return (T)((m & (M)x) | (~m & (M)y)); };
+    auto size_of = [](T x) { return (T)((M)x & 0x7fffffff); };
+    auto all = [](float x) { return T{x, x, x, x, x, x, x, x}; };
+    auto put = [](T& x, int k, float y) { x[k] = y; };
+    auto get = [](T x, int k) { return x[k]; };
+    auto has = [](M m, int k) { return m[k] != 0; };
+    auto any = [](M m) { int some = 0; for (int k = 0; k < 8; ++k) some |= m[k]; return some != 0; };
+#endif
+    auto least = [&](T x, T y) { return where(x < y, x, y); };
+    auto most_of = [&](T x, T y) { return where(x < y, y, x); };
+    const T none = all(0.0f), one = all(1.0f), unknown = all(INFINITY);
+"""
