@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-# Native text that defines numbers T, masks M, how WIDE they are, and what is done with them. A CPU makes products and sums
-# one operation, with one rounding, as a GPU does: for sums whose bits nobody wants again.
+# Native text that defines numbers T, masks M, how WIDE they are, and what is done with them. A CPU makes products and
+# sums one operation, with one rounding, as a GPU does: for sums whose bits nobody wants again.
 NUMBERS = """
 #if defined(__CUDA_ARCH__)
     typedef float T;

@@ -147,7 +147,6 @@ def _open_by_edges(
                 xs = Eight()
                 ys = Eight()
                 zs = Eight()
-                some = bool(False)
                 for k in range(8):
                     number = first + wp.where(on_cpu(), k, k * lanes + lane)
                     if k < together and number < 1 << (3 * bits):
@@ -187,12 +186,12 @@ def _open_by_edges(
         item = fetch_add_once(counts, next_item, 1, lane)
 
 
-# A mesh with no more boundary edges than this, and for each from one to that many faces, is opened by them: loose
+# A mesh with no more boundary edges than this, and for each from so many to that many faces, is opened by them: loose
 # sheets and open boxes, whose caps are as large as they are, and so near for most boxes. Others are opened by caps.
-MOST_EDGES = {"cuda": 4000, "cpu": 4000}
-FACES_AN_EDGE = 1, 5
+MOST_EDGES = {"cuda": 2000, "cpu": 1300}
+FACES_AN_EDGE = 0.5, 5
 # What an edge's polynomial may leave out of the solid angle.
-TOLERANCES = {"cuda": 3e-3, "cpu": 1e-2}
+TOLERANCES = {"cuda": 3e-3, "cpu": 3e-3}
 # Bits of the size of boxes, smaller ones where a GPU has less than so many for each group of lanes.
 BOX_BITS = {"cuda": 3, "cpu": 2}
 FEWEST = 4

@@ -35,7 +35,7 @@ SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.1 * UNIT, 8.0 * UNIT, 16.0 * UNIT
 LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 
 
-# Turns (re, im) by the strips of edges with their ends a and b off, where `ey` and `ez` are of b - a, if they are there.
+# Turns (re, im) by the strips of edges with their ends a and b off, `ey` and `ez` being of b - a, if they are there.
 TURN = f"""
     T re = one, im = none, turns = none, error = none;
     int turned = 0;

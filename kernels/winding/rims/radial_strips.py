@@ -1,9 +1,9 @@
 """Strips of boundary edges swept away from a box's centre: what a winding number changes by within the box.
 
 Sweep each boundary edge to infinity, radially away from a point c. As each edge begins where another ends, the sides of
-these strips cancel, and surface and strips together are closed. So the winding number at x is that at c plus the strips'
-share as it is seen from x (from c all are seen edge-on, and share nothing), but for the surfaces in between; and the
-boundary's share B of `boundary_term`, whose strips lead along -x, is
+these strips cancel, and surface and strips together are closed. So the winding number at x is that at c plus the
+strips' share as it is seen from x (from c all are seen edge-on, and share nothing), but for surfaces in between. And
+the boundary's share B of `boundary_term`, whose strips lead along -x, is
 
     B(x) = B(c) + sum of strips(x) / 4 pi + J(x),
 
@@ -17,19 +17,19 @@ strip's solid angle is the argument of (F1 + iq)(F2 + iq), by triangles of which
 Where the edge is far for the size of the box, that is the polynomial of `cap_taylor.add_edge`, which says why.
 
 The way from c to x meets a strip along -x if a and b are on different sides of it, seen along x, if x is beyond the
-edge there, and if the edge is further along +x than the way: with s(v) = x_y v_z - x_z v_y, n = (a x b)_x and
-sigma the sign of n, if sigma s(b), -sigma s(a), sigma (s(b) - s(a) - n) and -sigma q are positive; it then counts sigma.
+edge there, and if the edge is further along +x than the way: with s(v) = x_y v_z - x_z v_y, n = (a x b)_x and sigma the
+sign of n, if sigma s(b), -sigma s(a), sigma (s(b) - s(a) - n) and -sigma q are positive. It then counts sigma.
 
-Errors, in units of u = 2^-24: lengths are right within 4 of themselves, ways within 1, so that F1 is right within 60 |a||a'||b'|,
-F2 within 30 |a||b|(|b| + |b'|), and q within 10 |x||a||b|. The places on the lattice, which are those that count,
-are 0.1 away, for which there are the products of two lengths. What is closer to a jump than that is not known.
+Errors, in units of u = 2^-24: lengths are right within 4 of themselves, ways within 1, so that F1 is right within
+60 |a||a'||b'|, F2 within 30 |a||b|(|b| + |b'|), and q within 10 |x||a||b|. The places on the lattice, which are those
+that count, are 0.1 away, for which there are the products of two lengths. What is closer to a jump than that is not
+known.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.primitives.wide_numbers import NUMBERS
 from sdm.kernels.winding.rims.float32_sum import LARGEST_PRODUCT, SECOND, SHARES, SHRINK, SUMMED, TURN, UNIT
 
@@ -45,11 +45,12 @@ VOXELS = {"cuda": 4, "cpu": 8}
 Look = wp.types.vector(length=23, dtype=wp.float32)
 Eight = wp.types.vector(length=8, dtype=wp.float32)
 Sixteen = wp.types.vector(length=16, dtype=wp.float32)
-# Places in a look: the polynomial, its error and drift; the share at the centre, and its error; how many edges are near,
-# how many strips lie across the box, and how many polynomials were added.
+# Places in a look: the polynomial, its error and drift; the share at the centre, and its error; how many edges are
+# near, how many strips lie across the box, and how many polynomials were added.
 SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_BOX, STEPS = (
     0, 3, 6, 9, 16, 17, 18, 19, 20, 21, 22,
 )  # fmt: skip
+
 
 @wp.func_native(
     snippet=f"""
@@ -70,7 +71,8 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
                 const auto* at = ends.data + 2 * (size_t)(first + e + k);
                 put(ax, k, at[0].c[0] - c.c[0]); put(ay, k, at[0].c[1] - c.c[1]); put(az, k, at[0].c[2] - c.c[2]);
                 put(bx, k, at[1].c[0] - c.c[0]); put(by, k, at[1].c[1] - c.c[1]); put(bz, k, at[1].c[2] - c.c[2]);
-                put(ex, k, at[1].c[0] - at[0].c[0]); put(ey, k, at[1].c[1] - at[0].c[1]); put(ez, k, at[1].c[2] - at[0].c[2]);
+                put(ex, k, at[1].c[0] - at[0].c[0]); put(ey, k, at[1].c[1] - at[0].c[1]);
+                put(ez, k, at[1].c[2] - at[0].c[2]);
                 put(is_there, k, 1.0f);
             }}
         }}
@@ -90,7 +92,8 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
         const T dot = ax * bx + yz, size = la * lb, k = size + dot;
         const T rho = over(all(radius), d), reach = least(over(root(length2), d), all(1.5707964f));
         const T bound = over(reach * (rho * rho) * (rho * rho), 1.0f - rho);
-        const M far = there & (d > all({NEAREST_EDGE}f * radius)) & (k * {LARGEST_RATIO}f > size) & (bound <= all(tolerance));
+        const M far = there & (d > all({NEAREST_EDGE}f * radius)) & (k * {LARGEST_RATIO}f > size)
+            & (bound <= all(tolerance));
         if (any(far)) {{
             const T ia = over(one, la), ib = over(one, lb), ik = over(one, k), w = ia + ib, s1 = w * ik;
             const T once = both * ik * ik, pull = w * once, ia2 = ia * ia, ib2 = ib * ib;
@@ -110,7 +113,7 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
             const T linear = s1 * radius, squared = root(sx * sx + sy * sy + sz * sz) * square;
             const T change = linear + squared + cube * (p + 2.0f * q + r - 3.0f * level);
             const T off = change * (20.0f * size + flat * (20.0f * size * ik + 40.0f)) + 2.0f * over(reach, d);
-            const T weight = where(far, one, none), half = where(far, all(0.5f), none), sixth = where(far, all(1.0f / 6.0f), none);
+            const T sixth = where(far, all(1.0f / 6.0f), none);
             slope[0] = slope[0] + where(far, s1 * nx, none);
             slope[1] = slope[1] + where(far, s1 * ny, none);
             slope[2] = slope[2] + where(far, s1 * nz, none);
@@ -130,7 +133,7 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
             cubes[6] = cubes[6] + where(far, mz * yy + my * yz2, none);
             drift = drift + where(far, change * flat, none);
             bounds = bounds + where(far, {1.0001}f * bound + {UNIT}f * off, none);
-            steps = steps + weight;
+            steps = steps + where(far, one, none);
         }}
         const M near_here = there & ~far;
         // Strips along -x across the box: a line and a rectangle, seen along x.
@@ -205,7 +208,8 @@ _STRIPS = f"""
     }}
     for (int i = 0; i < near; ++i) {{
         const auto* at = ends.data + 2 * (size_t)stack.data[near_at + i];
-        const float gx = at[0].c[0], gy = at[0].c[1], gz = at[0].c[2], hx = at[1].c[0], hy = at[1].c[1], hz = at[1].c[2];
+        const float gx = at[0].c[0], gy = at[0].c[1], gz = at[0].c[2];
+        const float hx = at[1].c[0], hy = at[1].c[1], hz = at[1].c[2];
         const float ax = gx - c.c[0], ay = gy - c.c[1], az = gz - c.c[2];
         const float bx = hx - c.c[0], by = hy - c.c[1], bz = hz - c.c[2];
         const float la = sqrtf(ax * ax + ay * ay + az * az), lb = sqrtf(bx * bx + by * by + bz * bz);
@@ -216,7 +220,8 @@ _STRIPS = f"""
         const float off_2 = {SECOND_FACTOR}f * la * lb + {SNAP}f * (la + lb);
         for (int v = 0; v < TOGETHER; ++v) {{
             const T x = px[v] - c.c[0], y = py[v] - c.c[1], z = pz[v] - c.c[2];
-            const T sx = gx - px[v], sy = gy - py[v], sz = gz - pz[v], tx = hx - px[v], ty = hy - py[v], tz = hz - pz[v];
+            const T sx = gx - px[v], sy = gy - py[v], sz = gz - pz[v];
+            const T tx = hx - px[v], ty = hy - py[v], tz = hz - pz[v];
             const T ls = root(sx * sx + sy * sy + sz * sz), lt = root(tx * tx + ty * ty + tz * tz);
             const T q = x * nx + y * ny + z * nz, ends2 = ls * lt;
             const T f1 = la * ends2 + (ax * sx + ay * sy + az * sz) * lt + (ax * tx + ay * ty + az * tz) * ls
@@ -271,7 +276,8 @@ _STRIPS = f"""
         for (int k = 0; k < WIDE; ++k) {{
             const float angle = 2.0f * atan2f(get(im[v], k), get(re[v], k)) + {4.0 * wp.PI}f * get(turns[v], k);
             found.c[WIDE * v + k] = angle / {4.0 * wp.PI}f + get(crossed[v], k);
-            found.c[HALF + WIDE * v + k] = (2.0f * get(error[v], k) + {SUMMED}f * (1.0f + fabsf(angle))) / {4.0 * wp.PI}f;
+            const float off = 2.0f * get(error[v], k) + {SUMMED}f * (1.0f + fabsf(angle));
+            found.c[8 + WIDE * v + k] = off / {4.0 * wp.PI}f;
         }}
     }}
 """
@@ -280,7 +286,6 @@ _STRIPS = f"""
 @wp.func_native(
     snippet=f"""
     {NUMBERS}
-    constexpr int HALF = 8;
 #if defined(__CUDA_ARCH__)
     constexpr int TOGETHER = {VOXELS["cuda"]};
     const float* px = xs.c; const float* py = ys.c; const float* pz = zs.c;

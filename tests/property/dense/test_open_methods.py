@@ -100,7 +100,7 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", (0, np.inf))
-        patch.setitem(edge_boxes.OCTANT_BITS, "cpu", 1 + seed % 2)
+        patch.setitem(edge_boxes.BOX_BITS, "cpu", 1 + seed % 2)
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
