@@ -134,7 +134,7 @@ def of_shared_faces(tree: Tree):
 
 # Kernels that every map waits for come twice, for meshes that differ and, by [True], for those that share their faces:
 # from these a compiler leaves out what is read for others, which costs registers also where there are none. That is a
-# tenth of the time of candidate lists (bench/decisions/0049-kernels-of-meshes-alike.md).
+# tenth of the time of candidate lists (bench/decisions/0050-kernels-of-meshes-alike.md).
 BY_FACES = of_any_faces, of_shared_faces
 
 

@@ -81,6 +81,6 @@ def short_keys(count: int, bits: int) -> bool:
     """True if a GPU sorts so many keys of so many bits more quickly as int32 than as int64.
 
     Between a block and many keys it has more blocks of the longer ones, which take a tenth less for it
-    (bench/decisions/0049-kernels-of-meshes-alike.md).
+    (bench/decisions/0050-kernels-of-meshes-alike.md).
     """
     return bits <= SHORT_BITS and (_ONE_LONG_BLOCK < count <= _ONE_SHORT_BLOCK or count >= _MANY)
