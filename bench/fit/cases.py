@@ -45,9 +45,13 @@ def cases(options: argparse.Namespace) -> None:
             for name in names:
                 _warm_up(backends[name], image, scanner)
         # None is always the first after another's.
-        found = {name: fit_case(image, scanner, backends[name]) for name in names[:: 1 - 2 * (number % 2)]}
+        found, cpu_s = {}, {}
+        for name in names[:: 1 - 2 * (number % 2)]:
+            begin = time.process_time()
+            found[name] = fit_case(image, scanner, backends[name])
+            cpu_s[name] = round(time.process_time() - begin, 2)
         row = {"case": number + 1, "voxel_mm": float(scanner), "image": list(image.grid.shape)}
-        row |= {name: _row(found[name], found["exact"], state) for name in names}
+        row |= {name: _row(found[name], found["exact"], state) | {"cpu_seconds": cpu_s[name]} for name in names}
         row["truth"] = dict(zip(("a", "alpha", "b", "phi"), state.theta.tolist(), strict=True))
         old = before.get(number + 1, {})
         rows.append({**(old if old.get("truth") == row["truth"] else {}), **row})
@@ -110,6 +114,7 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "share_within_90": float((np.abs(errors) < 1.6448536 * deviations).mean().round(4)),
             "median_shapes_built": float(np.median([sum(f["shapes_built"].values()) for f in found])),
             "median_seconds": float(np.median([f["seconds"] for f in found])),
+            "median_cpu_seconds": float(np.median([f["cpu_seconds"] for f in found if "cpu_seconds" in f] or [0.0])),
         }
     for stock in (name for name in names if name in STOCK):
         for name in (name for name in names if name not in STOCK):
@@ -117,4 +122,8 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             low, middle, high = np.percentile(ratios, [25, 50, 75]).round(2).tolist()
             summary[name][f"times_faster_than_{stock}"] = middle
             summary[name][f"quartiles_of_times_faster_than_{stock}"] = [low, high]
+            if all("cpu_seconds" in row[stock] and "cpu_seconds" in row[name] for row in rows):
+                # Of all threads together: what other work on the cores changes least.
+                ratios = [row[stock]["cpu_seconds"] / row[name]["cpu_seconds"] for row in rows]
+                summary[name][f"times_less_cpu_than_{stock}"] = round(float(np.median(ratios)), 2)
     return summary
