@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import queue
 import signal
 import threading
@@ -35,11 +36,17 @@ def run_here(
     context = multiprocessing.get_context("spawn")
     todo: Any = context.Queue()
     said: Any = context.Queue()
+    jobs: Any = context.Queue()
+    # Not with the start of a process, which waits until the new one has imported everything if it is handed more than a
+    # pipe holds, as the names of a thousand files are: then one starts after the other.
+    packed = pickle.dumps(job)
+    for _ in devices:
+        jobs.put(packed)
     for number in shards:
         todo.put(number)
     for _ in devices:
         todo.put(None)
-    workers = [context.Process(target=_serve, args=(job, device, todo, said), daemon=True) for device in devices]
+    workers = [context.Process(target=_serve, args=(device, jobs, todo, said), daemon=True) for device in devices]
     for worker in workers:
         worker.start()
     try:
@@ -71,7 +78,7 @@ def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
         return what
 
 
-def _serve(job: SharedJob, device: str, todo: Any, said: Any) -> None:
+def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
     # An interrupt is the first process's to take, which ends this one; and it must not work on if that was killed.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -81,6 +88,8 @@ def _serve(job: SharedJob, device: str, todo: Any, said: Any) -> None:
             yield number
 
     try:
+        # From the process that started this one.
+        job: SharedJob = pickle.loads(jobs.get())  # noqa: S301
         job.run(shards(), job.maker(device), lambda told: said.put(("done", told)))
     except SDMError as error:
         said.put(("error", str(error)))

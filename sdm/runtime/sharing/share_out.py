@@ -18,16 +18,15 @@ from sdm.runtime.sharing.ray_cluster import run_on_ray
 LEAST, MOST, OF_EACH = 8, 64, 8
 # How many devices a cluster is taken to have, about which nobody can say beforehand.
 OF_CLUSTER = 8
-# Seconds that each process adds to the start of all of them: they come to their first map one after the other, and two,
-# four and eight on a host of 32 cores took 11, 23 and 52 s.
-START = 6.5
+# Seconds until processes come to their first map: two of `sdm generate` on a host of 32 cores took 7.6.
+START = 8.0
 # Processes on one GPU, and cores that each is to have: the host's part of the work takes longer than the device's, and
 # is held up by Python's lock.
 OF_ONE_GPU, CORES = 4, 4
 
 
 def processes_for(devices: list[str], seconds: float, *, several: bool = True) -> list[str]:
-    """The devices of processes that share work, some of them several times: as many as make up for their start.
+    """The devices of processes that share work, some of them several times; one alone where it ends before they start.
 
     Args:
         devices: Of this machine.
@@ -37,9 +36,9 @@ def processes_for(devices: list[str], seconds: float, *, several: bool = True) -
     if not devices[0].startswith("cuda"):
         return devices[:1]
     each = max(1, min(OF_ONE_GPU, cores() // (CORES * len(devices)))) if several else 1
-    choices = [devices[:count] for count in range(2, len(devices))] + [devices * times for times in range(1, each + 1)]
+    all_of_them = devices * each
     # One alone is this process, which has started.
-    return min([devices[:1], *choices], key=lambda some: seconds / len(some) + START * len(some) * (len(some) > 1))
+    return all_of_them if seconds / len(all_of_them) + START < seconds else devices[:1]
 
 
 def shard_size(items: int, devices: int) -> int:

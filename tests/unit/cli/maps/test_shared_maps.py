@@ -204,17 +204,15 @@ def test_what_a_machine_of_a_cluster_does_not_see(folder, tmp_path):
 def test_who_shares_the_work(monkeypatch):
     monkeypatch.setattr(share_out, "cores", lambda: 32)
     two = ["cuda:0", "cuda:1"]
-    assert processes_of(5000, map_settings(128), two) == ["cuda:0"]
-    # Of so many the start of eight would take longer than it saves.
-    assert processes_of(10_000, map_settings(128), two) == two
-    assert processes_of(30_000, map_settings(128), two) == two * 2
-    assert processes_of(100_000, map_settings(128), two) == two * 4
+    # One has ended when others would have started.
+    assert processes_of(2000, map_settings(128), two) == ["cuda:0"]
+    assert processes_of(5000, map_settings(128), two) == two * 4
     # Large maps are few: a process of each device makes them.
     assert processes_of(1000, map_settings(512), two) == two
     assert processes_of(100_000, map_settings(128), ["cpu"]) == ["cpu"]
     assert processes_of(100_000, map_settings(128), None) == ["cpu"]
     four = [f"cuda:{n}" for n in range(4)]
-    assert processes_of(20_000, map_settings(128), four) == four[:3]
+    assert processes_of(20_000, map_settings(128), four) == four * 2
     monkeypatch.setattr(share_out, "cores", lambda: 2)
     assert processes_of(100_000, map_settings(128), two) == two
 
