@@ -42,6 +42,18 @@ SHAPE_FIGURES: tuple[tuple[str, str, str, Callable[[Any], Sequence[Any]]], ...] 
         lambda r: [r["mean_mm"], r["worst_mm"]],
     ),
     (
+        SHAPES,
+        "by {} modes of points {:.2f} mm from its surface, by as many of maps {:.2f}",
+        "shape-model-atria",
+        lambda r: [r["modes"][-1], *(r["curves"][key]["generalisation"][-1] for key in ("points", "maps"))],
+    ),
+    (
+        SHAPES,
+        "random shapes of these {:.2f} and {:.2f} mm from the nearest atrium",
+        "shape-model-atria",
+        lambda r: [r["curves"][key]["specificity"][-1] for key in ("points", "maps")],
+    ),
+    (
         SURROGATE,
         "among {:,} shapes, is {:.3f}",
         "surrogate-worst",
