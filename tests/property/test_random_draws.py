@@ -73,7 +73,7 @@ def stored_maps(seed: int, step: int) -> Tensor:
     store = Replay(NoStream(), 64, seed)  # type: ignore[arg-type]
     store.theta[:] = torch.arange(64.0)[:, None]
     store.count = 64
-    return store.draw(12, step)[0][:, 0]
+    return store.theta[store.draw(12, step)][:, 0]
 
 
 def volumes(seed: int, step: int) -> Tensor:
