@@ -55,9 +55,9 @@ def from_neighbours(
     added = cost(k, 0, 0.0, weight, half)
     while added < best:
         if x >= k:
-            best = wp.min(best, wp.max(side * heights[base + (x - k) * stride], 0.0) + added)
+            best = wp.min(best, cost(k, 0, wp.max(side * heights[base + (x - k) * stride], 0.0), weight, half))
         if x + k < length:
-            best = wp.min(best, wp.max(side * heights[base + (x + k) * stride], 0.0) + added)
+            best = wp.min(best, cost(k, 0, wp.max(side * heights[base + (x + k) * stride], 0.0), weight, half))
         k = k + 1
         added = cost(k, 0, 0.0, weight, half)
     return side * best
