@@ -168,6 +168,13 @@ def _stock(peer: type[StockWarp], case: Case, grid: Any, device: str) -> float:
     return min(once(lambda: stock.signed_distance_map(grid), device)[0] for _ in range(2))
 
 
+def light_to_dark(count: int) -> list[Any]:
+    """So many colours from light to dark."""
+    from matplotlib import colormaps
+
+    return list(colormaps["YlGnBu"](np.linspace(0.15, 1.0, count)))
+
+
 def draw(report: dict[str, Any], path: Path) -> None:
     """Signed over unsigned, mesh by mesh, and the share of voxels that each size of box decides."""
     rows = [found for found in report["rows"] if found["boundary_edges"]]
@@ -176,15 +183,22 @@ def draw(report: dict[str, Any], path: Path) -> None:
         right = figure.add_axes((0.6, 0.145, 0.38, 0.76))
         places = np.arange(len(rows))[::-1]
         left.barh(places, [found["ratio"] for found in rows])
-        left.set_yticks(places, [found["mesh"] for found in rows], fontsize=7)
+        left.set_yticks(places, [found["mesh"] for found in rows], fontsize=8)
         left.set_xscale("log")
+        at = [1, 2, 3, 5, 10, 20, 50, 100]
+        left.set_xticks(at, [str(each) for each in at], minor=False)
+        left.minorticks_off()
+        left.axvline(3, color="0.6", linewidth=0.8)
+        left.set_xlim(0.95, 1.1 * max(3.0, *(found["ratio"] for found in rows)))
         left.set_xlabel("signed map / distances alone")
         start = np.zeros(len(rows))
-        for name in DECIDED:
+        # From boxes that decide much at once, light, to voxels by themselves, dark.
+        shades = light_to_dark(len(DECIDED))
+        for name, shade in zip(DECIDED, shades, strict=True):
             share = np.array(
                 [found["looked_at"]["shares"].get(name, 0.0) if found["looked_at"] else 0 for found in rows]
             )
-            right.barh(places, share, left=start, label=name)
+            right.barh(places, share, left=start, label=name, color=shade)
             start += share
         right.set_yticks([])
         right.set_xlabel("share of voxels decided by boxes of")
