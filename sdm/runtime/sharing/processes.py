@@ -37,6 +37,9 @@ def run_here(
     todo: Any = context.Queue()
     said: Any = context.Queue()
     jobs: Any = context.Queue()
+    # This process ends also if one that died has left something in the queues.
+    for waiting in (todo, jobs):
+        waiting.cancel_join_thread()
     # Not with the start of a process, which waits until the new one has imported everything if it is handed more than a
     # pipe holds, as the names of a thousand files are: then one starts after the other.
     packed = pickle.dumps(job)

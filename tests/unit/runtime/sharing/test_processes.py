@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,3 +39,38 @@ def test_a_start_does_not_wait_for_the_work_to_be_read(monkeypatch):
         run_here(work, [0, 1], ["cpu", "cpu"], print)
     assert handed
     assert not any(isinstance(each, Work | bytes) for each in handed)
+
+
+DEAD_AT_ONCE = """
+import os
+
+if __name__ == "__mp_main__":
+    os._exit(3)
+
+from sdm.errors import SDMError
+from sdm.runtime.sharing.processes import run_here
+from tests.unit.runtime.sharing.test_processes import Work
+
+if __name__ == "__main__":
+    try:
+        run_here(Work(), [0, 1], ["cpu", "cpu"], print)
+    except SDMError as error:
+        print(error)
+"""
+
+
+def test_processes_that_die_before_they_read_their_work_keep_nobody(tmp_path):
+    script = tmp_path / "dead.py"
+    script.write_text(DEAD_AT_ONCE)
+    root = Path(__file__).parents[4]
+    # What is left in a queue would keep the first process from its end.
+    done = subprocess.run(
+        [sys.executable, script],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "the process on cpu died (exit code 3)" in done.stdout
+    assert done.returncode == 0
