@@ -48,7 +48,9 @@ class DrawnAhead:
     def _draw(self, begin: int, count: int) -> None:
         end = begin + count * self._stride
         end = end if self._stop is None else min(end, self._stop)
-        starts = torch.arange(begin, end, self._stride, device="cpu") + self._offset
-        numbers = starts[:, None] + self._within
+        # What is given later may be written into outside of the inference mode that is on now.
+        with torch.inference_mode(False):
+            starts = torch.arange(begin, end, self._stride, device="cpu") + self._offset
+            numbers = starts[:, None] + self._within
         theta = self._theta(numbers.reshape(-1))
         self._begin, self._numbers, self._drawn = begin, numbers, theta.reshape(*numbers.shape, -1)

@@ -48,3 +48,12 @@ def test_nothing_is_drawn_beyond_the_end():
     for step in (0, 4, 8):
         drawn.take([step])
     assert torch.cat(draws.asked).tolist() == [2, 3, 6, 7, 10, 11]
+
+
+def test_numbers_drawn_in_inference_mode_may_be_written_into_later():
+    drawn = DrawnAhead(Draws(), 2, 0, 2, None)
+    with torch.inference_mode():
+        drawn.take([0])
+    numbers, _ = drawn.take([2])
+    assert not numbers.is_inference()
+    assert (numbers.add_(1) == torch.tensor([[3, 4]])).all()
