@@ -87,15 +87,7 @@ def tree_of(tree: Tree, mesh: int):
 
     Values that later code needs are few here, as a GPU's lanes keep them in registers.
     """
-    one = Tree()
-    one.corners = tree.corners
-    one.lattice = tree.lattice
-    one.face = tree.face
-    one.boxes = tree.boxes
-    one.frame = tree.frame
-    one.count = tree.count
-    one.depth = tree.depth
-    one.below = tree.below
+    one = of_shared_faces(tree)
     one.alone = 1
     one.first = mesh * tree.count
     one.root = mesh * (2 << (tree.depth + tree.below))

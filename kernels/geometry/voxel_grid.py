@@ -58,13 +58,7 @@ def slab_of(slab: Slab, mesh: int):
     Either all grids are turned, or none is. To be called anew wherever it is needed: what is read again is better than
     what a GPU's lanes keep in registers.
     """
-    one = Slab()
-    one.origin = slab.origin
-    one.spacing = slab.spacing
-    one.axes = slab.axes
-    one.turned = slab.turned
-    one.shape = slab.shape
-    one.first = slab.first
+    one = of_shared_grid(slab)
     one.alone = 1
     one.start = mesh * slab.shape[0] * slab.shape[1] * slab.shape[2]
     if slab.meshes > 0:
