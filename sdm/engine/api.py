@@ -184,7 +184,8 @@ def signed_distance(
         mesh: Any triangles, as `signed_distance_map` takes them.
         points: (...,3) coordinates in the mesh's unit, NumPy or torch, taken as float32.
         return_closest: Also return where the closest points are.
-        device: Where to compute; by default where the points are if they are a tensor, else a GPU if there is one.
+        device: Where to compute, and where the result is; by default the GPU that the points or the mesh are on, else a
+            GPU if there is one.
         sign: `"winding"`, or `"none"` for distances of at least 0. A flood needs a grid, so `"flood"` is refused.
 
     Returns:

@@ -72,12 +72,14 @@ def deviation(source: TriangleMesh, target: TriangleMesh, samples: int = SAMPLES
     used = torch.zeros(len(source.vertices), dtype=torch.bool, device=source.device)
     used[source.faces.reshape(-1)] = True
     vertices = source.vertices[used]
-    at_vertices = signed_distance(target, vertices, sign="none")
+    # Where the meshes are, not on whichever GPU is there.
+    device = source.device if source.device.type == "cuda" else target.device
+    at_vertices = signed_distance(target, vertices, device=device, sign="none")
     try:
         points = surface_points(source, samples)[0]
     except MeshError:
         # No face has an area.
         return Deviation(float(at_vertices.max()), float(at_vertices.mean()), len(vertices))
-    within = signed_distance(target, points, sign="none")
+    within = signed_distance(target, points, device=device, sign="none")
     largest = max(float(at_vertices.max()), float(within.max()))
     return Deviation(largest, float(within.double().mean()), len(vertices) + samples)

@@ -118,7 +118,7 @@ def edge_points(mesh: TriangleMesh, apart: float) -> EdgePoints:
 
 def _from(surface: TriangleMesh, points: Tensor) -> tuple[Tensor, Tensor]:
     """Distances (N,) of points from a surface, and the nearest faces (N,)."""
-    index = MeshIndex(surface, warn=False)
+    index = MeshIndex(surface, surface.device, warn=False)
     distance, hit = index.signed_distance(points, sign="none", return_closest=True)
     return distance, hit.faces.long()
 
@@ -135,7 +135,9 @@ def _divided(piece: TriangleMesh, points: Tensor, step: float) -> TriangleMesh:
     """A piece of a surface, with those of points (N,3) as vertices that are too far from it."""
     asked = points
     for _ in range(ROUNDS):
-        distance, hit = MeshIndex(piece, warn=False).signed_distance(asked, sign="none", return_closest=True)
+        distance, hit = MeshIndex(piece, piece.device, warn=False).signed_distance(
+            asked, sign="none", return_closest=True
+        )
         left = (distance > NEAR * step).nonzero()[:, 0]
         if len(left):
             # The furthest first.

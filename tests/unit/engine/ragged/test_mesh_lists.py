@@ -57,7 +57,9 @@ def test_iterators_of_grids_and_points():
     assert [field.grid for field in found] == [GRID] * 3
     points = torch.rand(3, 5, 3)
     values = list(sdm.signed_distances(iter(MESHES), points, device="cpu"))
-    assert all(torch.equal(v, sdm.signed_distance(m, p)) for v, m, p in zip(values, MESHES, points, strict=True))
+    assert all(
+        torch.equal(v, sdm.signed_distance(m, p, device="cpu")) for v, m, p in zip(values, MESHES, points, strict=True)
+    )
 
 
 def test_gradients_flow_through_meshes_that_need_them():

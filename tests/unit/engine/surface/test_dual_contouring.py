@@ -11,6 +11,7 @@ import torch
 import sdm
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import SDMError
+from sdm.remeshing.deviation import deviation
 from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold, assert_edges_cancel
 
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -92,6 +93,18 @@ def test_what_cannot_be_is_refused():
         field.to_mesh(mesh=box())
     with pytest.raises(SDMError, match="no surface at level 5"):
         field.to_mesh(5.0, method="dual")
+
+
+def test_on_a_cpu_no_gpu_is_looked_for(monkeypatch):
+    """Edges are sharpened, and surfaces compared, where the map is: not on whichever GPU the machine has."""
+
+    def refused():
+        raise AssertionError("a device was chosen by default")
+
+    mesh = box()
+    field = sdm.signed_distance_map(mesh, sdm.Grid.around(mesh, 24, margin=0.2), device="cpu")
+    monkeypatch.setattr(torch.cuda, "is_available", refused)
+    deviation(field.to_mesh(method="dual", mesh=mesh), mesh, samples=100)
 
 
 @pytest.mark.gpu
