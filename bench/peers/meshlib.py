@@ -63,7 +63,7 @@ class MeshLibCuda(MeshLib):
     Points and what is found come from the host and return to it. Signs at points are not to be relied on: the kernel of
     `calcFromVector` adds to its result, which is memory as `cudaMalloc` gave it (`processPoint` and `resVec` in
     MRCudaFastWindingNumber.cu, from the first version in 2023 to August 2026 at least). What was freed there before, as
-    coordinates or a box of its tree, is part of the number. Grids' numbers are summed in a variable that begins at zero.
+    coordinates or a box of its tree, is part of the number. Grids' are summed in a variable that begins at zero.
     """
 
     name, module, device = "MeshLib, CUDA", "meshlib.mrcudapy", "cuda"
