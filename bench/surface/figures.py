@@ -11,8 +11,9 @@ MARKS = ("o", "s", "D", "^", "v", "P")
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
-    """Processor seconds of each method against voxels along an axis, a panel for each mesh."""
-    rows = report["rows"]
+    """Seconds of each method against voxels along an axis, a panel for each mesh: on a CPU those of all cores."""
+    rows, machine = report["rows"], report["machine"]
+    part, label = ("seconds", "seconds") if "sm_mhz" in machine["clocks"] else ("cpu", "seconds of all cores")
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
     sizes = sorted({row["resolution"] for row in rows})
     with sheet(path, (4.6 * len(meshes) + 1, 5.0), dpi=110, layout="constrained", look=STYLE) as figure:
@@ -23,7 +24,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
                 dash = "-" if method.startswith("sdm") else "--"
                 axes.plot(
                     [row["resolution"] for row in found],
-                    [row["cpu"] for row in found],
+                    [row[part] for row in found],
                     dash,
                     marker=MARKS[number % len(MARKS)],
                     label=method,
@@ -34,9 +35,8 @@ def draw(report: dict[str, Any], path: Path) -> None:
             axes.set_xlabel("voxels along each axis")
             axes.set_title(mesh)
             plain_ticks(axes.yaxis)
-        panels[0].set_ylabel("seconds of all cores")
+        panels[0].set_ylabel(label)
         panels[0].legend(fontsize=8)
-        machine = report["machine"]
         figure.supxlabel(f"{machine['device']}, {machine['cores']} cores, repeated calls", fontsize=8)
 
 

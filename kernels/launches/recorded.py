@@ -16,6 +16,7 @@ import warp as wp
 from warp._src import context as warp_context
 
 from sdm.kernels.launches.compiling import noticed
+from sdm.kernels.launches.shared_hashes import share_hashes
 
 # Warp loads a module twice if two threads want it at once, and takes back the one while it runs.
 loading = threading.RLock()
@@ -23,6 +24,7 @@ loading = threading.RLock()
 _KNOWN_VERSIONS = frozenset(("1.19.0",))
 _PLAIN = wp.Launch.launch
 _nothing = object()
+share_hashes()
 
 
 def _unlock() -> None:
