@@ -20,6 +20,7 @@ from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
+from sdm.kernels.winding.eights.boxes_by_edges import open_edges_by_eights
 from sdm.kernels.winding.open_caps import open_caps
 from sdm.kernels.winding.ray_crossings import count_crossings
 from sdm.kernels.winding.rims.edge_boxes import FACES_AN_EDGE, MOST_EDGES, open_edges
@@ -189,6 +190,8 @@ def scan_triangles(
 
 # "caps" for the fast way of open meshes, "edges" for the sum over all boundary edges at each voxel: tests compare them.
 OPEN_METHOD = "caps"
+# Whether a CPU has ways of its own, or those of a GPU: tests compare them, too.
+BY_EIGHTS = True
 
 
 def slab_winding(
@@ -214,7 +217,8 @@ def slab_winding(
     fast = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
     kind, edges = "cuda" if device.is_cuda else "cpu", winding.boundary.count
     few = fast and edges * total <= MOST_SUMS[kind]
-    loose = FACES_AN_EDGE[0] * edges <= tree.count <= FACES_AN_EDGE[1] * edges
+    fewest, most = FACES_AN_EDGE[kind]
+    loose = fewest * edges <= tree.count <= most * edges
     by_edges = fast and not few and loose and edges <= MOST_EDGES[kind]
     with_caps = fast and not few and not by_edges
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
@@ -236,6 +240,8 @@ def slab_winding(
     before_moments()
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
+    elif by_edges and kind == "cpu" and BY_EIGHTS:
+        open_edges_by_eights(tree, winding.boundary, slab, values, empty)
     elif by_edges:
         open_edges(tree, winding.boundary, winding.caps, slab, values, empty)
     elif few:

@@ -99,8 +99,9 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
-        patch.setattr(column_sums, "FACES_AN_EDGE", (0, np.inf))
+        patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         patch.setitem(edge_boxes.BOX_BITS, "cpu", 1 + seed % 2)
+        patch.setattr(column_sums, "BY_EIGHTS", seed % 4 > 0)
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
@@ -118,7 +119,7 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
         patch.setattr(sdm.engine.structure.sizes, "MOST_FOR_GROUPS", 0)
         patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
-        patch.setattr(column_sums, "FACES_AN_EDGE", (0, np.inf))
+        patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     sizes = index._structure.sizes
@@ -167,7 +168,7 @@ def test_a_gpu_has_the_same_bits_by_either_way(monkeypatch, share):
         monkeypatch.setitem(open_caps.SUMMED, "cuda", ((1 + seed % 3, np.inf, np.inf),))
         monkeypatch.setitem(every_voxel.MOST_SUMS, "cuda", np.inf if seed == 3 else 0)
         monkeypatch.setitem(edge_boxes.MOST_EDGES, "cuda", np.inf if seed > 3 else 0)
-        monkeypatch.setattr(column_sums, "FACES_AN_EDGE", (0, np.inf))
+        monkeypatch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed in (2, 3, 6), seed))
         assert torch.equal(fast.values, slow.values)
         assert fast.ambiguous_voxels == slow.ambiguous_voxels

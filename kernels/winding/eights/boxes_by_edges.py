@@ -1,0 +1,195 @@
+"""Winding numbers of a mesh with few boundary edges by the edges alone, on a CPU: eight edges or voxels at once.
+
+As `rims.edge_boxes` has it for a GPU: boxes with a polynomial of the far strips and a list of the near ones, then the
+sum over all edges for each voxel that is left in doubt, in float32 and, where that is not enough, in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.voxel_box import box_of_voxels
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.launch import launch, threads
+from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
+from sdm.kernels.winding.cap_field import doubt, most_change, share_at
+from sdm.kernels.winding.eight_voxels import place_in_box
+from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
+from sdm.kernels.winding.near_caps import FULL
+from sdm.kernels.winding.open_caps import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.rims.doubtful_voxels import place_of_voxel
+from sdm.kernels.winding.rims.edge_boxes import ASIDE, BOX_BITS, ROOM, TOLERANCES, WIDER, field_of
+from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR, Eight, strips_at
+from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
+
+wp.set_module_options({"enable_backward": False})
+
+_ROOM = ROOM["cpu"]
+
+
+@wp.kernel
+def _open_boxes_by_eights(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    rows: wp.array(dtype=wp.float32),
+    blocks: int,
+    slab: Slab,
+    bits: int,
+    tolerance: float,
+    cells: wp.vec3i,
+    left: wp.array(dtype=wp.int32),
+    left_octants: wp.array(dtype=wp.int32),
+    next_item: int,
+    looked: int,
+    length: int,
+    counts: wp.array(dtype=wp.int32),
+    stacks: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open boxes of 2^bits voxels along each edge, `cells` along each axis; list those that leave some in doubt.
+
+    `next_item`, `looked` and `length` are places of the counts.
+    """
+    stack = large_stack_of(stacks, begin + wp.tid())
+    total = values.shape[0] * cells[0] * cells[1] * cells[2]
+    across_room = LARGE_STACK_ON_CPU - _ROOM
+    item = fetch_add_once(counts, next_item, 1, 0)
+    while item < total:
+        mesh, at = unravel(item, cells)
+        scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
+        here = slab_of(slab, mesh)
+        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+        box = box_of_voxels(here, start, 1 << bits, scale)
+        c = box.centre + wp.cw_mul(ASIDE, box.half)
+        half = WIDER * box.half
+        radius = wp.length(half)
+        look = look_at_eights(
+            rows, mesh * blocks, mesh * boundary.count, edges_of(boundary), c, radius, half, tolerance,
+            stack, 0, _ROOM, _ROOM, across_room,
+        )  # fmt: skip
+        field = field_of(look, 1)
+        near = int(look[NEAR])
+        across = int(look[ACROSS_BOX])
+        undone = int(0)
+        change = most_change(field, half)
+        error = doubt(field)
+        middle = float(field.value) / FULL
+        plain = near + across == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
+        if near > _ROOM or across > across_room or not error < MOST_DOUBT:
+            undone = int(255)
+        else:
+            first = int(0)
+            while first < 1 << (3 * bits):
+                xs = Eight()
+                ys = Eight()
+                zs = Eight()
+                for k in range(8):
+                    v = start + place_in_box(first + k, bits)
+                    p = scale * voxel(here, v[0], v[1], v[2])
+                    xs[k] = p[0]
+                    ys[k] = p[1]
+                    zs[k] = p[2]
+                found = strips_at(boundary.ends, stack, 0, near, _ROOM, across, c, radius, xs, ys, zs)
+                for k in range(8):
+                    v = start + place_in_box(first + k, bits)
+                    if is_left(slab, values, mesh, v):
+                        whole = values[mesh, v[0], v[1], v[2]]
+                        share = middle
+                        wrong = error + change
+                        if not plain:
+                            share = share_at(field, wp.vec3(xs[k], ys[k], zs[k]) - c) + found[k]
+                            wrong = error + found[8 + k]
+                        if is_sure(whole + share, whole, wrong):
+                            values[mesh, v[0], v[1], v[2]] = opened(whole + share)
+                        else:
+                            inner = place_in_box(first + k, bits)
+                            h = bits - 1
+                            undone = undone | (1 << (4 * (inner[0] >> h) + 2 * (inner[1] >> h) + (inner[2] >> h)))
+                first = first + 8
+        fetch_add(counts, looked, 1)
+        if undone != 0:
+            place = fetch_add(counts, length, 1)
+            left[place] = item
+            left_octants[place] = undone
+        item = fetch_add_once(counts, next_item, 1, 0)
+
+
+@wp.kernel
+def _open_voxels_by_eights(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    rows: wp.array(dtype=wp.float32),
+    blocks: int,
+    slab: Slab,
+    bits: int,
+    cells: wp.vec3i,
+    boxes: wp.array(dtype=wp.int32),
+    octants: wp.array(dtype=wp.int32),
+    length: int,
+    next_item: int,
+    looked: int,
+    exact: int,
+    counts: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open what is left of listed boxes, whose octants in doubt have a bit each, by the sum over all edges."""
+    half = bits - 1
+    item = fetch_add_once(counts, next_item, 1, 0)
+    while item < 8 * counts[length]:
+        number = item / 8
+        octant = item - 8 * number
+        mesh, at = unravel(boxes[number], cells)
+        inner = int(0)
+        if (octants[number] >> octant) & 1:
+            inner = 1 << (3 * half)
+        o = place_in_box(octant, 1)
+        start = wp.vec3i((2 * at[0] + o[0]) << half, (2 * at[1] + o[1]) << half, (2 * at[2] + o[2]) << half)
+        for k in range(inner):
+            v = start + place_in_box(k, half)
+            if is_left(slab, values, mesh, v):
+                p = place_of_voxel(tree, slab, mesh, v)
+                crossings = values[mesh, v[0], v[1], v[2]]
+                found = sum_of_eights(rows, mesh * blocks, edges_of(boundary), wp.vec3(p))
+                if is_sure(crossings + found[0], crossings, found[1]):
+                    values[mesh, v[0], v[1], v[2]] = opened(crossings + found[0])
+                else:
+                    exact_share = boundary_part(boundary, tree, mesh, p, 0, 1)
+                    values[mesh, v[0], v[1], v[2]] = crossings + float(exact_share)
+                    fetch_add(counts, exact, 1)
+                fetch_add(counts, looked, 1)
+        item = fetch_add_once(counts, next_item, 1, 0)
+
+
+def open_edges_by_eights(
+    tree: Tree, boundary: Boundary, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
+) -> wp.array:
+    """`rims.edge_boxes.open_edges` on a CPU; the same counts."""
+    device = values.device
+    meshes, *shape = values.shape
+    workers = 16 * threads()
+    counts = empty(COUNTS, wp.int32)
+    counts.zero_()
+    blocks = -(-boundary.count // 8)
+    rows = empty(meshes * blocks * ROW, wp.float32)
+    launch(pack_edges, meshes * blocks, [boundary, boundary.count, blocks, rows], device)
+    stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32)
+    bits, tolerance = BOX_BITS["cpu"], TOLERANCES["cpu"]
+    level = BITS.index(bits)
+    at, after = STRIDE * level, STRIDE * (level + 1)
+    cells = wp.vec3i(*(-(-n >> bits) for n in shape))
+    left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
+    inputs = [tree, boundary, rows, blocks, slab, bits, tolerance, cells, left, left_octants]
+    inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, values]
+    launch(_open_boxes_by_eights, workers, inputs, device, smallest=1)
+    inputs = [tree, boundary, rows, blocks, slab, bits, cells, left, left_octants]
+    inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, values]
+    launch(_open_voxels_by_eights, workers, inputs, device, smallest=1)
+    return counts

@@ -1,0 +1,276 @@
+"""Boundary edges by eights, each number of eight edges in a row: sums over all edges on a CPU.
+
+As `rims.float32_sum` and `rims.radial_strips` have them, but quotients are few, which take a CPU as long as ten
+products:
+
+- s_a s_b + alpha.beta is taken times the denominators of both s, which are positive: an argument stays what it is.
+- Instead of the distance d of an edge, which has to be no less than what is said, there is the larger of that of its
+  line, |a x b| / l, and of (|a| + |b| - l)/2, which is no more than d as |a| and |b| are at most d and a part of l.
+- Of 1/|a|, 1/|b| and 1/k one quotient is taken, of all three together; for 1/(1 - rho) there is 1 + rho + 2 rho^2,
+  which is no less up to a half.
+- a x b is a x (b - a), and wrong by 6 |a| l.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.primitives.wide_numbers import NUMBERS
+from sdm.kernels.winding.boundary_term import Boundary
+from sdm.kernels.winding.near_caps import UNIT
+from sdm.kernels.winding.rims.float32_sum import (
+    ACROSS,
+    LARGEST,
+    LARGEST_PRODUCT,
+    PARTS,
+    SECOND,
+    SHARES,
+    SHRINK,
+    SNAP_ACROSS,
+    SNAP_ALONG,
+    TURNED,
+    TURNED_MORE,
+)
+from sdm.kernels.winding.rims.radial_strips import (
+    ACROSS_BOX,
+    CUBES,
+    DRIFT,
+    ERROR,
+    LARGEST_RATIO,
+    NEAR,
+    NEAREST_EDGE,
+    PRODUCTS,
+    SHARE,
+    SHARE_ERROR,
+    SLOPE,
+    SQUARES,
+    STEPS,
+    Look,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+# Numbers of eight edges: both ends, their distance, and one over that, zero if it is too small.
+ROW = 64
+SHORTEST = 1.0e-15
+
+
+@wp.kernel
+def pack_edges(begin: int, boundary: Boundary, count: int, blocks: int, rows: wp.array(dtype=wp.float32)):
+    """Write `blocks` rows of eight edges for each mesh, of so many; behind the last one, edges without a length."""
+    i = begin + wp.tid()
+    mesh = i / blocks
+    first = 8 * (i - mesh * blocks)
+    for k in range(8):
+        e = 2 * (mesh * boundary.count + wp.min(first + k, count - 1))
+        a = boundary.ends[e]
+        b = boundary.ends[e + 1]
+        at = ROW * i + k
+        for axis in range(3):
+            rows[at + 8 * axis] = a[axis]
+            rows[at + 24 + 8 * axis] = b[axis]
+        length = wp.length(b - a)
+        rows[at + 48] = length
+        inverse = float(0.0)
+        if length > SHORTEST:
+            inverse = 1.0 / length
+        rows[at + 56] = inverse
+
+
+# Eight edges as they are seen from a place `c`, and which of them are there.
+_EIGHT_EDGES = """
+        T ga[3], gb[3], length, per_length;
+        const float* row = rows.data + 64 * (size_t)(first + i);
+        for (int k = 0; k < 3; ++k) {
+            __builtin_memcpy(&ga[k], row + 8 * k, 32);
+            __builtin_memcpy(&gb[k], row + 24 + 8 * k, 32);
+        }
+        __builtin_memcpy(&length, row + 48, 32);
+        __builtin_memcpy(&per_length, row + 56, 32);
+        const M there = numbers < M{} + (count - 8 * i);
+        const T ax = ga[0] - c.c[0], ay = ga[1] - c.c[1], az = ga[2] - c.c[2];
+        const T bx = gb[0] - c.c[0], by = gb[1] - c.c[1], bz = gb[2] - c.c[2];
+        const T ex = gb[0] - ga[0], ey = gb[1] - ga[1], ez = gb[2] - ga[2];
+        const T aside_a = ay * ay + az * az, aside_b = by * by + bz * bz, yz = ay * by + az * bz;
+        const T la = root(ax * ax + aside_a), lb = root(bx * bx + aside_b), both = la + lb;
+        const T one_way = ay * ez, other_way = az * ey, nx = one_way - other_way;
+        // The strip along -x, see `rims.float32_sum`.
+        const T far_a = la + size_of(ax), far_b = lb + size_of(bx);
+        const M up_a = ax > none, up_b = bx > none;
+        const T across_a = where(up_a, far_a, one), across_b = where(up_b, far_b, one), scale = across_a * across_b;
+        const T ss = where(up_a, aside_a, far_a) * where(up_b, aside_b, far_b);
+        const T x = ss + yz * scale, y = -nx * scale, sx = size_of(x), sy = size_of(y), most = most_of(sx, sy);
+"""
+_TURN = f"""
+        {{
+            const T snap = both * scale;
+            const T dx = {PARTS}f * (ss + size_of(yz) * scale + sy) + {SNAP_ALONG}f * snap;
+            const T dy = {ACROSS}f * scale * (size_of(one_way) + size_of(other_way)) + {SNAP_ACROSS}f * snap;
+            const M known = (most > 10.0f * (dx + dy)) & (most < all({LARGEST}f)) & ((x > none) | (sy > dy));
+            const T inverse = one / most, part = sy * inverse;
+            const T off = {SECOND}f * inverse * (part * dx + dy) + ({TURNED_MORE}f * part + {TURNED}f);
+            error = error + where(there, where(known, off, unknown), none);
+            const T u = where(known & there & (x < sy), x * inverse, one), v = where(known & there, y * inverse, none);
+            const T new_re = re * u - im * v, new_im = re * v + im * u;
+            const M below = im < none, below_now = new_im < none;
+            turns = turns + where(~below & (v > none) & below_now, one, none);
+            turns = turns - where(below & (v < none) & ~below_now, one, none);
+            re = new_re;
+            im = new_im;
+            if (i % 32 == 31) {{
+                const T shrink = where(size_of(re) + size_of(im) > all({LARGEST_PRODUCT}f), all({SHRINK}f), one);
+                re = re * shrink;
+                im = im * shrink;
+            }}
+        }}
+"""
+_BEGIN = """
+    const M numbers = {0, 1, 2, 3, 4, 5, 6, 7};
+    T re = one, im = none, turns = none, error = none;
+"""
+
+
+@wp.func_native(
+    snippet=f"""
+    {NUMBERS}
+    wp::vec_t<23, float> found;
+#if !defined(__CUDA_ARCH__)
+    {_BEGIN}
+    T slope[3], squares[3], products[3], cubes[7];
+    for (int k = 0; k < 3; ++k) slope[k] = squares[k] = products[k] = none;
+    for (int k = 0; k < 7; ++k) cubes[k] = none;
+    T bounds = none, drift = none, steps = none;
+    int near = 0, across = 0;
+    const float cube = radius * radius * radius / 3.0f, square = radius * radius;
+    const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
+    for (int i = 0; 8 * i < count; ++i) {{
+        {_EIGHT_EDGES}
+        {_TURN}
+        // The polynomial, as `cap_taylor.add_edge` has it.
+        const T ny = az * ex - ax * ez, nz = ax * ey - ay * ex;
+        const T flat = root(nx * nx + ny * ny + nz * nz);
+        const T d = 0.999f * most_of(flat * per_length, 0.5f * (both - length)) - 1.0e-6f * both;
+        const T per_d = one / d, rho = radius * per_d, reach = least(length * per_d, all(1.5707964f));
+        const T size = la * lb, k = size + ax * bx + yz;
+        const T bound = reach * (rho * rho) * (rho * rho) * (1.0f + rho + 2.0f * rho * rho);
+        const M far = there & (d > all({NEAREST_EDGE}f * radius)) & (k * {LARGEST_RATIO}f > size)
+            & (bound <= all(tolerance));
+        if (any(far)) {{
+            const T fla = where(far, la, one), flb = where(far, lb, one), fk = where(far, k, one);
+            const T fx = where(far, nx, none), fy = where(far, ny, none), fz = where(far, nz, none);
+            const T pair = fla * flb, per = one / (pair * fk);
+            const T ia = per * flb * fk, ib = per * fla * fk, ik = per * pair;
+            const T w = ia + ib, s1 = w * ik, sum = fla + flb;
+            const T once = sum * ik * ik, pull = w * once, ia2 = ia * ia, ib2 = ib * ib;
+            const T fa = ia * (ia2 * ik + pull), fb = ib * (ib2 * ik + pull);
+            const T sx = ax * fa + bx * fb, sy = ay * fa + by * fb, sz = az * fa + bz * fb;
+            const T common = w * ik * ik * (2.0f * sum * sum * ik - 1.0f);
+            const T p = ia * (3.0f * ia2 * ik + (3.0f * ia + ib) * once) + common;
+            const T q = (ia2 + ib2) * once + common;
+            const T r = ib * (3.0f * ib2 * ik + (3.0f * ib + ia) * once) + common;
+            const T level = -(ia * ia2 + ib * ib2) * ik - w * w * once;
+            const T ux = ia * ax, uy = ia * ay, uz = ia * az, vx = ib * bx, vy = ib * by, vz = ib * bz;
+            const T gx = p * ux + q * vx, gy = p * uy + q * vy, gz = p * uz + q * vz;
+            const T hx = q * ux + r * vx, hy = q * uy + r * vy, hz = q * uz + r * vz;
+            const T xx = gx * ux + hx * vx + level, yy = gy * uy + hy * vy + level, zz = gz * uz + hz * vz + level;
+            const T xy = 2.0f * (gx * uy + hx * vy), xz = 2.0f * (gx * uz + hx * vz), yz2 = 2.0f * (gy * uz + hy * vz);
+            const T squared = (size_of(sx) + size_of(sy) + size_of(sz)) * square;
+            const T change = s1 * radius + squared + cube * (p + 2.0f * q + r - 3.0f * level);
+            const T off = change * (20.0f * fla * length + flat * (20.0f * pair * ik + 40.0f)) + 2.0f * reach * per_d;
+            slope[0] = slope[0] + s1 * fx;
+            slope[1] = slope[1] + s1 * fy;
+            slope[2] = slope[2] + s1 * fz;
+            const T hx2 = 0.5f * fx, hy2 = 0.5f * fy, hz2 = 0.5f * fz;
+            squares[0] = squares[0] + hx2 * sx;
+            squares[1] = squares[1] + hy2 * sy;
+            squares[2] = squares[2] + hz2 * sz;
+            products[0] = products[0] + (hx2 * sy + hy2 * sx);
+            products[1] = products[1] + (hx2 * sz + hz2 * sx);
+            products[2] = products[2] + (hy2 * sz + hz2 * sy);
+            const float sixth = 1.0f / 6.0f;
+            const T mx = fx * sixth, my = fy * sixth, mz = fz * sixth;
+            cubes[0] = cubes[0] + mx * xx;
+            cubes[1] = cubes[1] + (my * xx + mx * xy);
+            cubes[2] = cubes[2] + (mz * xx + mx * xz);
+            cubes[3] = cubes[3] + (mx * yy + my * xy);
+            cubes[4] = cubes[4] + (mx * yz2 + my * xz + mz * xy);
+            cubes[5] = cubes[5] + my * yy;
+            cubes[6] = cubes[6] + (mz * yy + my * yz2);
+            drift = drift + where(far, change * flat, none);
+            bounds = bounds + where(far, {1.0002}f * bound + {UNIT}f * off, none);
+            steps = steps + where(far, one, none);
+        }}
+        // Strips along -x across the box: a line and a rectangle, seen along x.
+        const T snap = 2.0e-6f * (1.0f + both);
+        const M met = there & (size_of(nx) <= room_y * size_of(ez) + room_z * size_of(ey) + snap)
+            & (least(ay, by) <= room_y + snap) & (most_of(ay, by) >= -room_y - snap)
+            & (least(az, bz) <= room_z + snap) & (most_of(az, bz) >= -room_z - snap)
+            & (most_of(ax, bx) >= -half.c[0] * 1.0001f - snap);
+        const M near_here = there & ~far;
+        if (any(near_here | met)) {{
+            for (int j = 0; j < 8; ++j) {{
+                const int e = first_edge + 8 * i + j;
+                if (near_here[j]) {{ if (near < room) stack.data[near_at + near] = e; ++near; }}
+                if (met[j]) {{ if (across < room_across) stack.data[across_at + across] = e; ++across; }}
+            }}
+        }}
+    }}
+    auto sum = [&](T x) {{ float s = 0.0f; for (int k = 0; k < WIDE; ++k) s += get(x, k); return s; }};
+    for (int k = 0; k < 3; ++k) {{
+        found.c[{SLOPE} + k] = sum(slope[k]);
+        found.c[{SQUARES} + k] = sum(squares[k]);
+        found.c[{PRODUCTS} + k] = sum(products[k]);
+    }}
+    for (int k = 0; k < 7; ++k) found.c[{CUBES} + k] = sum(cubes[k]);
+    found.c[{ERROR}] = sum(bounds);
+    found.c[{DRIFT}] = sum(drift);
+    found.c[{STEPS}] = sum(steps);
+    {SHARES}
+    found.c[{SHARE}] = share;
+    found.c[{SHARE_ERROR}] = off;
+    found.c[{NEAR}] = (float)near;
+    found.c[{ACROSS_BOX}] = (float)across;
+#endif
+    return found;
+"""
+)
+def look_at_eights(
+    rows: wp.array(dtype=wp.float32),
+    first: int,
+    first_edge: int,
+    count: int,
+    c: wp.vec3,
+    radius: float,
+    half: wp.vec3,
+    tolerance: float,
+    stack: wp.array(dtype=wp.int32),
+    near_at: int,
+    room: int,
+    across_at: int,
+    room_across: int,
+) -> Look:
+    """`look_at_edges` of `rims.radial_strips` by packed edges, whose first row and number of edges are given, and the
+    number by which the first edge is listed.
+    """
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    {NUMBERS}
+#if !defined(__CUDA_ARCH__)
+    {_BEGIN}
+    for (int i = 0; 8 * i < count; ++i) {{
+        {_EIGHT_EDGES}
+        {_TURN}
+    }}
+    {SHARES}
+    return wp::vec2(share, off);
+#else
+    return wp::vec2(0.0f, 0.0f);
+#endif
+"""
+)
+def sum_of_eights(rows: wp.array(dtype=wp.float32), first: int, count: int, c: wp.vec3) -> wp.vec2:
+    """`rim_sum` of `rims.float32_sum` by packed edges: the share of the winding number at c, and its largest error."""
+    ...
