@@ -72,6 +72,7 @@ def main() -> None:
         "warp,warp-map",
     )
     each["cases"].add_argument("--count", type=int, default=9)
+    each["cases"].add_argument("--resume", action="store_true", help="keep the cases in --out, of a machine like this")
     each["cases"].add_argument("--quick", action="store_true", help="two cases")
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")

@@ -17,6 +17,7 @@ import numpy as np
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.tools import STOCK, backends_by_name, case, fit_case, truth_backend
+from sdm.errors import SDMError
 from sdm.fit import FitResult, Image, State
 from sdm.shapes import Cochlea
 
@@ -25,25 +26,32 @@ WIDTHS = np.array([p.high - p.low for p in Cochlea.parameters])
 
 
 def cases(options: argparse.Namespace) -> None:
-    """Fit each case with each backend, print a line each, write all."""
+    """Fit each case with each backend, print a line each, write all; with `--resume` those that no run has ended."""
     names = options.backends.split(",")
     if "exact" not in names:
         names.insert(0, "exact")
+    machine = describe(options.device, ("warp-lang", "torch", "numpy", "libigl"))
     before = _before(options.out)
+    done = _done(options.out, names, machine) if options.resume else set()
     truth = truth_backend()
     backends = {name: backends_by_name(name, options.device, options.weights) for name in names}
     deadline = time.monotonic() + options.budget_s
     rows: list[dict[str, Any]] = []
+    warm = False
     for number in range(2 if options.quick else options.count):
+        if number + 1 in done:
+            rows.append(before[number + 1])
+            continue
         # Two thirds as a clinical scanner sees them, the others as a cone-beam scanner does.
         scanner = "0.2" if number % 3 == 2 else "0.3"
         state, image = case(truth, scanner, 1000 + number, edge=EDGE)
         if time.monotonic() > deadline:
             break
-        if number == 0:
+        if not warm:
             # Kernels are compiled and libraries loaded before the clock runs.
             for name in names:
                 _warm_up(backends[name], image, scanner)
+            warm = True
         # None is always the first after another's.
         found, cpu_s = {}, {}
         for name in names[:: 1 - 2 * (number % 2)]:
@@ -57,13 +65,23 @@ def cases(options: argparse.Namespace) -> None:
         rows.append({**(old if old.get("truth") == row["truth"] else {}), **row})
         for name in names:
             print(f"{number + 1} {scanner} mm {name:<10}", row[name], flush=True)
-        write(options.out, {"cases": rows, "summary": _summary(rows), "machine": describe(options.device)})
+        write(options.out, {"cases": rows, "summary": _summary(rows), "machine": machine})
     print(_summary(rows))
 
 
 def _before(out: Path) -> dict[int, dict[str, Any]]:
     """Rows of an earlier run in the file, by case: those of backends that are not run again stay."""
     return {row["case"]: row for row in json.loads(out.read_text())["cases"]} if out.is_file() else {}
+
+
+def _done(out: Path, names: list[str], machine: dict[str, Any]) -> set[int]:
+    """Cases that the file has of all these backends, by a machine like this one: clocks of others are not these."""
+    if not out.is_file():
+        return set()
+    record = json.loads(out.read_text())
+    if any(record["machine"].get(key) != machine.get(key) for key in ("device", "cores")):
+        raise SDMError(f"{out} is of another machine ({record['machine'].get('device')}); give another file by --out")
+    return {row["case"] for row in record["cases"] if all(name in row for name in names)}
 
 
 def _warm_up(backends: Any, image: Image, scanner: str) -> None:
