@@ -41,7 +41,7 @@ from sdm.surrogate.infer.runtime import available, runner
 from sdm.surrogate.train.map_buffer import Replay
 from sdm.surrogate.train.validation import validation_theta
 
-TRIANGLES = (500, 1250, 3000, 7000, 20_000)
+TRIANGLES = (500, 1250, 3000, 4000, 7000, 20_000)
 MODES = (16, 32, 64, 128, 256)
 NEAR_MM = 0.5
 # The first 16 of the validation set are the corners of the box.

@@ -61,7 +61,9 @@ class SDMNNPlus(nn.Module):
         nn.init.zeros_(self.last.bias)  # pyright: ignore[reportArgumentType]
         nn.init.zeros_(self.film.weight)
         nn.init.zeros_(self.film.bias)
-        _trilinear(self.interpolate)
+        nn.init.zeros_(self.interpolate.bias)  # pyright: ignore[reportArgumentType]
+        with torch.no_grad():
+            self.interpolate.weight.copy_(trilinear())
 
     def forward(self, theta: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of theta (B,4)."""
@@ -133,16 +135,21 @@ class _Residual(nn.Module):
         return x + self.layers(x)
 
 
-def _trilinear(layer: nn.Conv3d) -> None:
-    """Set the layer to trilinear interpolation of the coarse values, whose places are the middles of 2^3 voxels."""
-    # Along one axis: weights of the 6 coarse values of a block and its neighbours for its 4 voxels.
+def interpolation_line() -> Tensor:
+    """(4,6) weights along one axis: of the coarse values of a block and its two neighbours for its voxels."""
     line = torch.zeros(FINE, 3 * COARSE)
     for voxel in range(FINE):
         at = (voxel + 0.5) / (FINE // COARSE) - 0.5 + COARSE
         low = int(at)
         line[voxel, low], line[voxel, low + 1] = 1 - (at - low), at - low
-    line = line.reshape(FINE, 3, COARSE)
+    return line
+
+
+def trilinear() -> Tensor:
+    """(64,8,3,3,3) weights of `interpolate` that are trilinear interpolation.
+
+    Coarse values are at the middles of 2^3 voxels.
+    """
+    line = interpolation_line().reshape(FINE, 3, COARSE)
     weights = torch.einsum("aip,bjq,ckr->abcpqrijk", line, line, line)
-    with torch.no_grad():
-        layer.weight.copy_(weights.reshape(layer.weight.shape))
-        nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
+    return weights.reshape(FINE**3, COARSE**3, 3, 3, 3)
