@@ -83,7 +83,8 @@ def launch(
     if device.is_cuda:
         run(kernel, count, [0, *inputs], device, block_dim)
         return
-    workers = 1 if _sharing.is_off else threads()
+    # Before anybody asks how many cores there are.
+    workers = 1 if _sharing.is_off or count <= smallest else threads()
     share = max(smallest, -(-count // (workers * SHARES_PER_THREAD)))
     if workers == 1 or count <= share:
         run(kernel, count, [0, *inputs], device, 1)

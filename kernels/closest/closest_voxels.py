@@ -240,8 +240,10 @@ def _name_searched(begin: int, step: int, searched: wp.array(dtype=wp.int32), tr
         if winner % 8 == SEARCHED:
             _mesh, at = unravel(number, slab.shape)
             p = tree.frame[SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
-            slot = facing_slot(tree, winner / 8, p)
-            hit = exact_hit(tree, slot, p)
+            hit = exact_hit(tree, winner / 8, p)
+            slot = facing_slot(tree, winner / 8, p, hit)
+            if slot != winner / 8:
+                hit = exact_hit(tree, slot, p)
             hits.points[number] = wp.vec3(tree.frame[UNSCALE] * hit.point)
             hits.barycentric[number] = wp.vec3(hit.barycentric)
             # Told apart from winners, until these are done.

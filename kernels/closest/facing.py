@@ -194,13 +194,15 @@ def few_touching(tree: Tree, given: int, at: wp.vec3):
 
 
 @wp.func
-def facing_of_few(tree: Tree, slots: FewSlots, count: int, p: wp.vec3d, largest: wp.float64):
-    """`facing_slot` among the first of `slots`, each of which is measured once."""
+def facing_of_few(tree: Tree, slots: FewSlots, count: int, p: wp.vec3d, largest: wp.float64, given: Hit):
+    """`facing_slot` among the first of `slots`, each of which is measured once, if not `given` as the first one is."""
     distances = FewNumbers()
     cosines = FewNumbers()
     least = wp.float64(wp.inf)
+    hit = given
     for k in range(count):
-        hit = exact_hit(tree, slots[k], p)
+        if k > 0:
+            hit = exact_hit(tree, slots[k], p)
         distances[k] = wp.sqrt(hit.distance2)
         least = wp.min(least, distances[k])
         if distances[k] <= least + EQUAL * largest:
@@ -219,20 +221,19 @@ def facing_of_few(tree: Tree, slots: FewSlots, count: int, p: wp.vec3d, largest:
 
 
 @wp.func
-def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
-    """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled).
+def facing_slot(tree: Tree, slot: int, p: wp.vec3d, hit: Hit):
+    """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled), and its `exact_hit`.
 
     It is the same for each of those that are equally near.
     """
     largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
-    hit = exact_hit(tree, slot, p)
     at = wp.vec3(hit.point)
     if on_cpu():
         slots, count = few_touching(tree, slot, at)
         if count == 1:
             return slot
         if count <= FEW:
-            return facing_of_few(tree, slots, count, p, largest)
+            return facing_of_few(tree, slots, count, p, largest, hit)
     found = Facing()
     found.least = wp.sqrt(hit.distance2)
     found.most = wp.float64(-1.0)

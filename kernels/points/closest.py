@@ -34,8 +34,10 @@ def _name_faces(
     else:
         mesh = mesh_of(packets, at / PACKET)
         p = scale_of(tree, mesh) * wp.vec3d(points[i])
-        best = facing_slot(tree_of(tree, mesh), slot, p)
-        hit = exact_hit(tree, best, p)
+        hit = exact_hit(tree, slot, p)
+        best = facing_slot(tree_of(tree, mesh), slot, p, hit)
+        if best != slot:
+            hit = exact_hit(tree, best, p)
         hits.points[i] = wp.vec3(tree.frame[mesh * FRAME_SIZE + UNSCALE] * hit.point)
         hits.faces[i] = tree.face[best]
         hits.barycentric[i] = wp.vec3(hit.barycentric)

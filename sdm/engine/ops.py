@@ -308,6 +308,10 @@ def points_closest(
     vertices: Tensor, faces: Tensor, points: Tensor, structure: AccelerationStructure | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The operator `closest`, in the same way."""
+    if is_eager(vertices, points):
+        built = structure or build(vertices.detach()[None], faces)
+        values, point, face, barycentric = _query(points.contiguous(), built, hits=True)
+        return values, point, face, barycentric
     return torch.ops.sdm.closest(vertices, faces, points, *_handed_over(structure))
 
 
