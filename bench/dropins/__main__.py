@@ -1,18 +1,17 @@
 """Drop-in replacements beside the originals: time, wrong signs, errors.
 
-    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--runs 7] [--out FILE.json]
+    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--runs 15] [--out FILE.json]
 
 Half of the points are anywhere in a box around the mesh, half near its surface. True distances and signs are those of a
 float64 brute force; a sign is wrong where the winding number is further than 0.05 from a half and says otherwise. Each
 call starts from arrays, so that what is built for a mesh counts. Each is made once before it is timed, so that kernels
-are compiled by then, and afterwards theirs and ours take turns: medians, and how far the slowest is from the fastest in
-percent. Calls of seconds take fewer turns. CPU seconds are those of all threads; the machine may have been busy.
+are compiled by then, and afterwards theirs and ours take turns: the least of each, as the machine may be busy, and how
+far the slowest is from it in percent. Calls of seconds take fewer turns. CPU seconds are those of all threads.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
 import time
 import warnings
 from pathlib import Path
@@ -50,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=4000)
     parser.add_argument("--meshes", nargs="+", default=list(MESHES))
-    parser.add_argument("--runs", type=int, default=7)
+    parser.add_argument("--runs", type=int, default=15)
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
     calls, left = pairs()
@@ -101,9 +100,8 @@ def measured(
                 call(*arrays, points)
                 times[whose].append((time.perf_counter() - wall, time.process_time() - cpu))
     for whose, found in times.items():
-        wall_s, cpu_s = (statistics.median(values) for values in zip(*found, strict=True))
-        least, most = (pick(cpu for _, cpu in found) for pick in (min, max))
-        spread = 100 * (most - least) / cpu_s
+        wall_s, cpu_s = (min(values) for values in zip(*found, strict=True))
+        spread = 100 * (max(cpu for _, cpu in found) / cpu_s - 1.0)
         rows[whose] = {"wall_s": wall_s, "cpu_s": cpu_s, "cpu_spread": spread, "runs": len(found)} | rows[whose]
     return rows
 

@@ -9,7 +9,7 @@ from sdm.bench.common.meshes import load_case
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import MeshKind
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.ops import CPU_SORT
+from sdm.engine.ops import CPU_SORT, points_closest
 from sdm.engine.plan_override import plan_override
 from sdm.engine.points import PointsIndex, without_sign
 
@@ -86,3 +86,12 @@ def test_without_a_sign_none_is_looked_for(name, share, kind, method, device):
     assert torch.equal(found.view(torch.int32), wanted.abs().view(torch.int32))
     assert torch.equal(alone.view(torch.int32), found.view(torch.int32))
     assert torch.equal(hit.faces, wanted_hit.faces)
+
+
+def test_past_the_dispatcher_as_by_it(device):
+    case = load_case("needle box")
+    mesh = TriangleMesh(case.vertices, case.faces).to(device)
+    points = torch.rand(50, 3, generator=torch.Generator().manual_seed(2)).to(device)
+    found = points_closest(mesh.vertices, mesh.faces, points, None)
+    for one, wanted in zip(found, torch.ops.sdm.closest(mesh.vertices, mesh.faces, points, [], 0), strict=True):
+        assert torch.equal(one, wanted)
