@@ -129,6 +129,7 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
 
     with (
         mock.patch.object(column_sums, "open_caps", watched(column_sums.open_caps)),
+        mock.patch.object(column_sums, "open_caps_by_eights", watched(column_sums.open_caps_by_eights)),
         mock.patch.object(column_sums, "open_edges", watched(column_sums.open_edges)),
         mock.patch.object(column_sums, "open_edges_by_eights", watched(column_sums.open_edges_by_eights)),
     ):

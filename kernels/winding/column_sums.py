@@ -20,6 +20,7 @@ from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
+from sdm.kernels.winding.eights.boxes_by_caps import open_caps_by_eights
 from sdm.kernels.winding.eights.boxes_by_edges import open_edges_by_eights
 from sdm.kernels.winding.open_caps import open_caps
 from sdm.kernels.winding.ray_crossings import count_crossings
@@ -238,7 +239,9 @@ def slab_winding(
         if not with_caps:
             before_moments = before_boundary()
     before_moments()
-    if with_caps:
+    if with_caps and kind == "cpu" and BY_EIGHTS:
+        open_caps_by_eights(tree, winding.boundary, winding.caps, slab, values, empty)
+    elif with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
     elif by_edges and kind == "cpu" and BY_EIGHTS:
         open_edges_by_eights(tree, winding.boundary, slab, values, empty)
