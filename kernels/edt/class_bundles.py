@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt.class_lines import part_of, write_place
+from sdm.kernels.edt.class_lines import part_of
 from sdm.kernels.edt.line_bundles import (
     greatest_at,
+    has_gaps,
     least_at,
     least_of_class,
     least_of_others,
     nearest_of_class,
     nearest_of_others,
     places_with,
+    write_places,
 )
-from sdm.kernels.edt.short_range import finished
 from sdm.kernels.primitives.lanes import ballot, unknown
 
 wp.set_module_options({"enable_backward": False})
@@ -64,23 +65,29 @@ def nearest_of_class_in_bundle(
     own_base = int(-1)
     if has_sides != 0:
         own_base = column
+    gaps = has_gaps(has, sites, step, first, after - 1)
     low = int(first)
     far = int(0)
     while far < length:
-        farther = nearest_of_class(heights, base, stride, has, sites, step, low, after - 1, far + 63, 64, weight, half)
+        farther = nearest_of_class(
+            heights, base, stride, has, sites, step, gaps, low, after - 1, far + 63, 64, weight, half
+        )
         for j in range(unknown(8)):
             part = far + 64 * j
             if part < length:
                 high = greatest_at(farther, j)
-                near = nearest_of_class(heights, base, stride, has, sites, step, low, high, part + 7, 8, weight, half)
+                near = nearest_of_class(
+                    heights, base, stride, has, sites, step, gaps, low, high, part + 7, 8, weight, half
+                )
                 for i in range(unknown(8)):
                     x = part + 8 * i
                     if x < length:
                         high = greatest_at(near, i)
-                        best = least_of_class(heights, base, stride, has, sites, step, low, high, x, 1, weight, half)
-                        for k in range(8):
-                            if there and x + k < length:
-                                write_place(x + k, best[k], base, stride, scale, missing, own, own_base, out)
+                        best = least_of_class(
+                            heights, base, stride, has, sites, step, gaps, low, high, x, 1, weight, half
+                        )
+                        wanted = wp.where(there, 255 >> wp.max(x + 8 - length, 0), 0)
+                        write_places(best, wanted, x, base, stride, scale, missing, own, own_base, out)
                         low = least_at(near, i)
         far = far + 512
 
@@ -141,8 +148,8 @@ def nearest_other_label_in_bundle(
                         bits = places_with(labels, base, stride, x, after, value)
                         if ballot(bits != 0) != wp.uint32(0):
                             best = least_of_others(heights, base, stride, labels, value, low, high, x, 1, weight, half)
-                            for k in range(8):
-                                if there and ((bits >> k) & 1) != 0:
-                                    out[base + (x + k) * stride] = finished(best[k], scale, missing)
+                            if not there:
+                                bits = int(0)
+                            write_places(best, bits, x, base, stride, scale, missing, heights, -1, out)
                         low = least_at(near, i)
         far = far + 512

@@ -3,12 +3,14 @@
 The nearest site moves forward as the place does. So the sites nearest to eight places far apart bound those of the
 places between, and eight of these those of runs of eight places, whose few sites are all tried. All lanes look at the
 same sites, from the least that one of them may need to the greatest: what they read lies side by side, and is asked for
-four sites at a time.
+several sites at a time.
 """
 
 from __future__ import annotations
 
 import warp as wp
+
+from sdm.kernels.edt import bundle_loops
 
 wp.set_module_options({"enable_backward": False})
 
@@ -16,132 +18,8 @@ Places = wp.types.vector(length=8, dtype=wp.float32)
 # Of eight places the least and the greatest of the lanes' sites, where `least_at` and `greatest_at` find them.
 Bounds = wp.types.vector(length=16, dtype=wp.int32)
 
-# Calls `visit(site, height, place)` for the sites from `low` to `high`, with `from` the way to the first place.
-_EACH_SITE = """
-#if defined(__CUDA_ARCH__)
-    const int lanes = 32;
-#else
-    const int lanes = 1;
-#endif
-    auto look = [&](bool has_boxes) {
-        for (int block = low; block <= high; block += lanes) {
-#if defined(__CUDA_ARCH__)
-            const int mine = block + (threadIdx.x & 31);
-            unsigned sites = __ballot_sync(0xffffffffu, mine <= high && THERE(mine));
-#else
-            unsigned sites = THERE(block) ? 1 : 0;
-#endif
-            while (sites) {
-                float height[4];
-                int site[4];
-                #pragma unroll
-                for (int k = 0; k < 4; ++k) {
-                    site[k] = -1;
-                    if (sites) {
-#if defined(__CUDA_ARCH__)
-                        site[k] = block + __ffs(sites) - 1;
-#else
-                        site[k] = block;
-#endif
-                        sites &= sites - 1;
-                        height[k] = HEIGHT(site[k]);
-                    }
-                }
-                #pragma unroll
-                for (int k = 0; k < 4; ++k) {
-                    if (site[k] >= 0) {
-                        const float from = wp::float32(place) - wp::float32(site[k]);
-                        #pragma unroll
-                        for (int i = 0; i < 8; ++i) {
-                            float away = from + wp::float32(i * apart);
-                            if (has_boxes)
-                                away = wp::max(wp::abs(away) - half, 0.0f);
-                            const float squared = height[k] + weight * (away * away);
-                            VISIT
-                        }
-                    }
-                }
-            }
-        }
-    };
-    if (half == 0.0f)
-        look(false);
-    else
-        look(true);
-"""
-_WINNERS = (
-    """
-    float best[8];
-    int winner[8];
-    #pragma unroll
-    for (int i = 0; i < 8; ++i) {
-        best[i] = INFINITY;
-        winner[i] = low;
-    }
-"""
-    + _EACH_SITE.replace(
-        "VISIT",
-        """
-                            if (squared < best[i]) {
-                                best[i] = squared;
-                                winner[i] = site[k];
-                            }
-""",
-    )
-    + """
-    wp::vec_t<16, wp::int32> bounds;
-    #pragma unroll
-    for (int i = 0; i < 8; ++i) {
-        int least = winner[i], greatest = winner[i];
-#if defined(__CUDA_ARCH__)
-#if __CUDA_ARCH__ >= 800
-        least = __reduce_min_sync(0xffffffffu, least);
-        greatest = __reduce_max_sync(0xffffffffu, greatest);
-#else
-        for (int step = 16; step > 0; step >>= 1) {
-            least = min(least, __shfl_xor_sync(0xffffffffu, least, step));
-            greatest = max(greatest, __shfl_xor_sync(0xffffffffu, greatest, step));
-        }
-#endif
-        if ((threadIdx.x & 31) == i) {
-            bounds[0] = least;
-            bounds[1] = greatest;
-        }
-#else
-        bounds[i] = least;
-        bounds[8 + i] = greatest;
-#endif
-    }
-    return bounds;
-"""
-)
-_LEAST = (
-    """
-    wp::vec_t<8, wp::float32> best;
-    #pragma unroll
-    for (int i = 0; i < 8; ++i)
-        best[i] = INFINITY;
-"""
-    + _EACH_SITE.replace("VISIT", "best[i] = wp::min(best[i], squared);")
-    + """
-    return best;
-"""
-)
 
-
-def _of_class(snippet: str) -> str:
-    there = snippet.replace("THERE(mine)", "has.data[first + mine * step] != 0")
-    there = there.replace("THERE(block)", "has.data[first + block * step] != 0")
-    return there.replace("HEIGHT(site[k])", "heights.data[base + site[k] * stride]")
-
-
-def _of_others(snippet: str) -> str:
-    there = snippet.replace("THERE(mine)", "true").replace("THERE(block)", "true")
-    at = "base + site[k] * stride"
-    return there.replace("HEIGHT(site[k])", f"labels.data[{at}] == value ? heights.data[{at}] : 0.0f")
-
-
-@wp.func_native(snippet=_of_class(_WINNERS))
+@wp.func_native(snippet=bundle_loops.winners_of_class())
 def nearest_of_class(
     heights: wp.array(dtype=wp.float32),
     base: int,
@@ -149,6 +27,7 @@ def nearest_of_class(
     has: wp.array(dtype=wp.int32),
     first: int,
     step: int,
+    gaps: bool,
     low: int,
     high: int,
     place: int,
@@ -163,7 +42,7 @@ def nearest_of_class(
     ...
 
 
-@wp.func_native(snippet=_of_class(_LEAST))
+@wp.func_native(snippet=bundle_loops.least_of_class())
 def least_of_class(
     heights: wp.array(dtype=wp.float32),
     base: int,
@@ -171,6 +50,7 @@ def least_of_class(
     has: wp.array(dtype=wp.int32),
     first: int,
     step: int,
+    gaps: bool,
     low: int,
     high: int,
     place: int,
@@ -182,7 +62,7 @@ def least_of_class(
     ...
 
 
-@wp.func_native(snippet=_of_others(_WINNERS))
+@wp.func_native(snippet=bundle_loops.winners_of_others())
 def nearest_of_others(
     heights: wp.array(dtype=wp.float32),
     base: int,
@@ -200,7 +80,7 @@ def nearest_of_others(
     ...
 
 
-@wp.func_native(snippet=_of_others(_LEAST))
+@wp.func_native(snippet=bundle_loops.least_of_others())
 def least_of_others(
     heights: wp.array(dtype=wp.float32),
     base: int,
@@ -243,6 +123,108 @@ def least_at(bounds: Bounds, place: int) -> int:
 )
 def greatest_at(bounds: Bounds, place: int) -> int:
     """The greatest site that is nearest to a place of a bundle."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int block = low; block <= high; block += 32) {
+        const int mine = block + (threadIdx.x & 31);
+        if (__any_sync(0xffffffffu, mine <= high && has.data[first + mine * step] == 0))
+            return true;
+    }
+#else
+    for (int site = low; site <= high; ++site)
+        if (has.data[first + site * step] == 0)
+            return true;
+#endif
+    return false;
+"""
+)
+def has_gaps(has: wp.array(dtype=wp.int32), first: int, step: int, low: int, high: int) -> bool:
+    """True if one of the sites from `low` to `high` is not there, by what `has` says from `first` on."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    float value[8];
+    #pragma unroll
+    for (int i = 0; i < 8; ++i)
+        value[i] = best[i];
+    bool usual = scale <= 0.0f && own_base < 0;
+#if defined(__CUDA_ARCH__)
+    // Numbers that are not below zero are ordered as their bits are.
+    int bits[8], least = 0x7fffffff, most = 0;
+    #pragma unroll
+    for (int i = 0; i < 8; ++i)
+        bits[i] = __float_as_int(best[i]);
+    #pragma unroll
+    for (int i = 0; i < 8; i += 2) {
+        least = __vimin3_s32(least, bits[i], bits[i + 1]);
+        most = __vimax3_s32(most, bits[i], bits[i + 1]);
+    }
+    // What `sqrtf` does, without its question for each number whether it is one of those with which this fails.
+    if (!usual && least >= 0x0d000000 && most < 0x7f000000) {
+        usual = true;
+        if (scale > 0.0f) {
+            #pragma unroll
+            for (int i = 0; i < 8; ++i) {
+                float inverse;
+                asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(best[i]));
+                const float root = __fmul_rn(inverse, best[i]);
+                value[i] = scale * __fmaf_rn(__fmaf_rn(-root, root, best[i]), __fmul_rn(inverse, 0.5f), root);
+            }
+        }
+    }
+#endif
+    if (!usual) {
+        #pragma unroll
+        for (int i = 0; i < 8; ++i) {
+            if (scale > 0.0f)
+                value[i] = best[i] < INFINITY ? scale * sqrtf(best[i]) : missing;
+            if (own_base >= 0 && best[i] == 0.0f && (wanted >> i & 1))
+                value[i] = -own.data[own_base + (x + i) * stride];
+        }
+    }
+    char* to = reinterpret_cast<char*>(out.data + (base + x * stride));
+#if defined(__CUDA_ARCH__)
+    asm("" : "+l"(to));
+#endif
+    auto write = [&](int i) {
+        float* at = reinterpret_cast<float*>(to + (long long)(4 * i) * stride);
+#if defined(__CUDA_ARCH__)
+        __stwb(at, value[i]);
+#else
+        *at = value[i];
+#endif
+    };
+    if (wanted == 255) {
+        #pragma unroll
+        for (int i = 0; i < 8; ++i)
+            write(i);
+    } else {
+        #pragma unroll
+        for (int i = 0; i < 8; ++i)
+            if (wanted >> i & 1)
+                write(i);
+    }
+"""
+)
+def write_places(
+    best: Places,
+    wanted: int,
+    x: int,
+    base: int,
+    stride: int,
+    scale: float,
+    missing: float,
+    own: wp.array(dtype=wp.float32),
+    own_base: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """Write what those of eight places from `x` on that are `wanted`, by bits, get at these squared distances."""
     ...
 
 
