@@ -7,8 +7,9 @@ Each mesh is written as a PLY file, closed at each resolution and written again,
 - `process`: the whole command in a process of its own, Python and torch included; `torch` is what a process takes that
   imports torch alone. Kernels are in Warp's cache: the first such process, which may compile them, is not counted.
 - `call`: the same from file to file in a process that runs on, once torch, Warp and the command's modules are imported
-  (`imports`): `first` the first call and `warm` the median of those after it, with the report (exact distances both
-  ways), and `without_report` what reading, closing and writing take without it.
+  (`imports`), and with them what the command does beside them, the GPU made ready: `first` the first call and `warm`
+  the median of those after it, with the report (exact distances both ways), and `without_report` what reading, closing
+  and writing take without it.
 - `folder`: seconds a file of a folder of `--copies` of the mesh, where reading and writing run beside the device.
 
 `closed` says that each edge of what was written has two triangles, one each way.
@@ -109,6 +110,8 @@ def measure(
 _CALLS = """
 import contextlib, io, json, sys, time
 begin = time.perf_counter()
+from sdm.cli.common import early_device
+early_device.begin(sys.argv[sys.argv.index("--device") + 1])
 import sdm.cli.surfaces.closing
 from sdm.cli.app import main
 seconds = [time.perf_counter() - begin]
