@@ -6,10 +6,10 @@ Each mesh is written as a PLY file, closed at each resolution and written again,
 
 - `process`: the whole command in a process of its own, Python and torch included; `torch` is what a process takes that
   imports torch alone. Kernels are in Warp's cache: the first such process, which may compile them, is not counted.
-- `call`: the same from file to file in a process that runs on, once torch, Warp and the command's modules are imported
-  (`imports`), and with them what the command does beside them, the GPU made ready: `first` the first call and `warm`
-  the median of those after it, with the report (exact distances both ways), and `without_report` what reading, closing
-  and writing take without it.
+- `call`: the same from file to file in a process that runs on. `imports` is what comes before: the parser, torch, Warp
+  and the command's modules, and beside them the GPU, made ready as the command does it. `first` is the first call and
+  `warm` the median of those after it, with the report (exact distances both ways), and `without_report` what reading,
+  closing and writing take without it.
 - `folder`: seconds a file of a folder of `--copies` of the mesh, where reading and writing run beside the device.
 
 `closed` says that each edge of what was written has two triangles, one each way.
@@ -107,13 +107,17 @@ def measure(
 
 
 # Times calls of the command in one process: the number of calls, and its words. Benchmarks do not import commands.
+# First what the command itself does before its work, in its order: words are parsed, modules imported.
 _CALLS = """
 import contextlib, io, json, sys, time
 begin = time.perf_counter()
+from sdm.cli.app import main
+with contextlib.redirect_stdout(io.StringIO()):
+    main([sys.argv[2], "--help"])
 from sdm.cli.common import early_device
 early_device.begin(sys.argv[sys.argv.index("--device") + 1])
+import sdm.kernels.flood.flood_signs
 import sdm.cli.surfaces.closing
-from sdm.cli.app import main
 seconds = [time.perf_counter() - begin]
 for _ in range(int(sys.argv[1])):
     begin = time.perf_counter()

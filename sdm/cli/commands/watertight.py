@@ -66,6 +66,8 @@ def watertight(
     if len(meshes) == 1 and meshes[0].is_file() and ray is None:
         early_device.begin(device)
 
+    # A flood's kernels too, which the first surface needs and a library's user may not.
+    import sdm.kernels.flood.flood_signs  # noqa: F401
     from sdm.cli.surfaces.closing import run, targets_of
     from sdm.cli.surfaces.closing_stages import Closing
     from sdm.runtime.sharing.devices import devices_for
