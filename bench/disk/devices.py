@@ -4,8 +4,8 @@
 
 Rates of all include the start of processes, which takes some ten seconds; `steady` ones are those between a quarter and
 nineteen twentieths of the items. Meshes are `--meshes`, an eighth of them different, 20,000 triangles each, at 128^3 to
-.npz; maps of `generate` are those of cochleas of 20,000 triangles at 64^3, float16 without compression. All maps of the
-ways to share are compared byte by byte with those of one process.
+.npz; maps of `generate` are those of cochleas of 20,000 triangles at 64^3, float16 without compression and float32 as
+zstd. Maps of all ways to share are compared byte by byte with those of one process.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -53,40 +53,42 @@ def content(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def compute_rows(folder: Path, count: int, ways: list[list[str]], checked: int) -> list[dict[str, Any]]:
+def compute_rows(folder: Path, count: int, ways: list[list[str]], checked: int) -> Iterator[dict[str, Any]]:
     """A row for each list of processes; the first `checked` maps of each are compared."""
-    files, rows, whole = meshes_in(folder / "meshes", count), [], set()
+    files, whole = meshes_in(folder / "meshes", count), set()
     for processes in ways:
         out = folder / "maps"
         out.mkdir()
         jobs = [(file, out / f"{file.stem}.npz") for file in files]
-        row = {"work": "compute .npz", "count": count, "processes": processes}
-        rows.append({**row, **compute_rates(jobs, MESHES_AT, processes, StageTimes())})
+        row: dict[str, Any] = {"work": "compute .npz", "count": count, "processes": processes}
+        row |= compute_rates(jobs, MESHES_AT, processes, StageTimes())
         for _, target in jobs[checked:]:
             target.unlink()
         whole.add(content(out))
         shutil.rmtree(out)
-        print(rows[-1], flush=True)
-    if len(whole) > 1:
-        raise SystemExit("maps differ by who made them")
-    return rows
+        print(row, flush=True)
+        yield row
+        if len(whole) > 1:
+            raise SystemExit("maps differ by who made them")
 
 
-def generate_rows(folder: Path, count: int, ways: Sequence[str | None]) -> list[dict[str, Any]]:
-    """A row for each device; None is all."""
-    family, rows, whole = Cochlea(TRIANGLES), [], set()
-    for device in ways:
+def generate_rows(
+    folder: Path, count: int, ways: list[list[str]], dtype: torch.dtype, compression: str
+) -> Iterator[dict[str, Any]]:
+    """A row for each list of processes."""
+    family, whole = Cochlea(TRIANGLES), set()
+    for processes in ways:
         out = folder / "d.zarr"
-        more: dict[str, Any] = {"dtype": torch.float16, "compression": "none", "device": device}
+        more: dict[str, Any] = {"dtype": dtype, "compression": compression, "processes": processes}
         found = generate_rates(family, family.grid(MAPS_AT), count, out, StageTimes(), **more)
-        row = {"work": "generate float16 none", "count": count, "processes": devices_for(device)}
-        rows.append({**row, **found})
+        name = f"generate {str(dtype).removeprefix('torch.')} {compression}"
+        row = {"work": name, "count": count, "processes": processes, **found}
         whole.add((out / "sha256").exists() and content(out / "sha256"))
         shutil.rmtree(out)
-        print(rows[-1], flush=True)
-    if len(whole) > 1:
-        raise SystemExit("datasets differ by who made them")
-    return rows
+        print(row, flush=True)
+        yield row
+        if len(whole) > 1:
+            raise SystemExit("datasets differ by who made them")
 
 
 def main() -> None:
@@ -114,15 +116,21 @@ def main() -> None:
         for file in warm[:3]:
             sdm.signed_distance_map(file, resolution=MESHES_AT, device=every[0])
         compute_rates(first, MESHES_AT, every[:1], StageTimes())
-        if options.maps:
-            generate_rows(folder, min(options.maps, 2000), every[:1])
-            record["rows"] += generate_rows(folder, options.maps, [every[0], *([None] if len(every) > 1 else [])])
-            json_file.write(out, record)
-        if options.meshes:
-            record["rows"] += compute_rows(folder, options.meshes, ways, options.checked)
+        plain, zstd = (torch.float16, "none"), (torch.float32, "zstd")
+        for _ in generate_rows(folder, 2000, ways[:1], *plain) if options.maps else ():
+            pass
+        works: list[tuple[Callable[..., Iterator[dict[str, Any]]], int, tuple[Any, ...]]] = [
+            (generate_rows, options.maps, plain),
+            (compute_rows, options.meshes, (options.checked,)),
+            (generate_rows, options.maps, zstd),
+        ]
+        for work, count, more in works:
+            for row in work(folder, count, ways, *more) if count else ():
+                record["rows"].append(row)
+                # What is measured is kept, should the rest be cut off.
+                json_file.write(out, record)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        json_file.write(out, record)
     print(out)
 
 

@@ -47,6 +47,7 @@ def generate(
     shard: int | None = None,
     compression: str = "zstd",
     device: str | torch.device | None = None,
+    processes: list[str] | None = None,
     ray: str | None = None,
     resume: bool = False,
     source: dict[str, Any] | None = None,
@@ -69,6 +70,7 @@ def generate(
         shard: Samples in one file; by default 256 MiB of them.
         compression: "zstd" (lossless) or "none".
         device: "cuda:1", "cpu", ...; by default every GPU there is, else the CPU.
+        processes: The device of each process that takes part, in place of `device`; by default one for each.
         ray: Address of a Ray cluster whose GPUs share the work ("auto" for the one this machine is in).
         resume: Finish an unfinished dataset of the same recipe; what is there stays.
         source: What the family was made from, kept in the manifest.
@@ -98,7 +100,7 @@ def generate(
         raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
     if dtype not in (torch.float32, torch.float16):
         raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
-    devices = ["cpu"] if ray is not None else devices_for(device)
+    devices = ["cpu"] if ray is not None else processes or devices_for(device)
     # Refuses what makes no sense before anything is on the disk.
     signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
     maker = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate, **signs)
