@@ -5,8 +5,8 @@
 By turns: the command, then files of the sizes that it wrote by plain writers: one after the other, each flushed; the
 same by threads; and these past the system's cache. The engine alone makes the same and keeps nothing. Output is removed
 after each turn. The share is that of the best of the three writers, or of the engine where that is slower, which the
-command reaches between a quarter and nineteen twentieths of its work (`steady`): `sdm compute` has `--processes` on the
-GPU, as for a long job, which take some ten seconds to start.
+command reaches between a quarter and nineteen twentieths of its work (`steady`): both have `--processes` on the GPU, as
+for a long job, which take some ten seconds to start.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def works(folder: Path, maps: int, meshes: int, device: str, processes: int) -> 
         for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
 
             def make(out: Path, times: StageTimes, dtype: Any = dtype, compression: str = compression) -> Any:
-                more: dict[str, Any] = {"dtype": dtype, "compression": compression, "device": device}
+                more: dict[str, Any] = {"dtype": dtype, "compression": compression, "processes": [device] * processes}
                 return generate_rates(family, grid, maps, out / "d.zarr", times, **more)
 
             found.append(Work(f"generate {str(dtype).removeprefix('torch.')} {compression}", maps, alone, make))
@@ -85,7 +85,7 @@ def works(folder: Path, maps: int, meshes: int, device: str, processes: int) -> 
     return found
 
 
-def row_of(work: Work, folder: Path, rounds: int, until: float, device: str) -> dict[str, Any]:
+def row_of(work: Work, folder: Path, rounds: int, until: float, device: str, processes: int) -> dict[str, Any]:
     """Rates of all turns, and the share of the medians."""
     threads = writers_beside(torch.device(device))
     ours: list[dict[str, float]] = []
@@ -115,6 +115,7 @@ def row_of(work: Work, folder: Path, rounds: int, until: float, device: str) -> 
     return {
         "work": work.name,
         "count": work.count,
+        "processes": processes,
         "rounds": len(ours),
         "per_second": round(middle["of_all"], 1),
         "steady_per_second": round(middle["steady"], 1),
@@ -135,7 +136,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="a place on the disk; by default that of temporary files")
     parser.add_argument("--maps", type=int, default=12_000, help="of generate; 0 leaves it out")
     parser.add_argument("--meshes", type=int, default=600, help="of compute; 0 leaves it out")
-    parser.add_argument("--processes", type=int, default=1, help="of compute, on the device")
+    parser.add_argument("--processes", type=int, default=1, help="that share the work on the device")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--budget-s", type=float, default=600.0, help="no round begins later, but the first of each")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -148,7 +149,7 @@ def main() -> None:
     out = options.out or results_folder() / f"disk-real-{options.device.partition(':')[0]}.json"
     try:
         for work in works(folder, options.maps, options.meshes, options.device, options.processes):
-            row = row_of(work, folder, options.rounds, until, options.device)
+            row = row_of(work, folder, options.rounds, until, options.device, options.processes)
             record["pipelines"].append(row)
             print(" ".join(f"{key} {value}" for key, value in row.items()), flush=True)
             # What is measured is kept, should the rest be cut off.

@@ -8,9 +8,7 @@ disk has one part of a large file, the next one is gathered.
 from __future__ import annotations
 
 import errno
-import mmap
 import os
-import threading
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
@@ -21,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from sdm.io.files.atomic import write_all
+from sdm.io.files.thread_room import thread_room
 
 # Bytes of one call that writes, and what disks ask their sizes to be multiples of.
 ROOM, BLOCK = 1 << 23, 1 << 12
@@ -28,8 +27,6 @@ ROOM, BLOCK = 1 << 23, 1 << 12
 LEAST = 1 << 21
 # Smaller ones are not worth a thread that writes them; more threads than have files to write wait for nothing.
 LEAST_BESIDE, MOST_BESIDE = 1 << 25, 32
-
-_own = threading.local()
 
 
 class DirectFile:
@@ -142,11 +139,7 @@ def _opened_directly(path: Path) -> int | None:
 
 def _buffer(turn: int) -> np.ndarray:
     """One of two pieces of memory of this thread, at the beginning of a page, as disks ask for."""
-    if not hasattr(_own, "rooms"):
-        _own.rooms = {}
-    if turn not in _own.rooms:
-        _own.rooms[turn] = np.frombuffer(mmap.mmap(-1, ROOM), np.uint8)
-    return _own.rooms[turn]
+    return thread_room(f"disk {turn}", ROOM)
 
 
 @cache

@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import nibabel as nib
 import numpy as np
 import torch
-from isal import isal_zlib
 from nibabel.fileholders import FileHolder
 from nibabel.imageglobals import LoggingOutputSuppressor
 from nibabel.nifti1 import Nifti1Extension
@@ -23,6 +22,8 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.files.direct_file import DirectFile
+from sdm.io.files.gzip_packer import packed
+from sdm.io.files.thread_room import thread_room
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
@@ -33,10 +34,6 @@ COMMENT = 6
 # Of a record of ours among the comments.
 BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
-# Of 0 to 3. Distances hardly shrink by more work.
-LEVEL = 1
-# zlib's number for gzip, without a name or time.
-AS_GZIP = 31
 # Bytes of values that are turned, packed and written at once: they lie with x fastest in a file, and of many threads
 # each waits for Python's lock after every call.
 TURNED = 1 << 24
@@ -45,7 +42,8 @@ TURNED = 1 << 24
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        _put(_image(field, made_from), file.write)
+        for piece in _pieces(_image(field, made_from)):
+            file.write(piece.data)
 
 
 def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
@@ -53,10 +51,9 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
     `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
     """
-    packer = isal_zlib.compressobj(LEVEL, wbits=AS_GZIP)
     with DirectFile(path, field.grid.nbytes) as file:
-        _put(_image(field, made_from, space), lambda piece: file.write(packer.compress(piece)))
-        file.write(packer.flush())
+        for piece in packed(_pieces(_image(field, made_from, space))):
+            file.write(piece)
 
 
 def read(path: Path) -> SDM:
@@ -102,21 +99,27 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     return image
 
 
-def _put(image: Any, write_piece: Callable[[bytes | memoryview], Any]) -> None:
-    """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers."""
+def _pieces(image: Any) -> Iterator[np.ndarray]:
+    """An image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers.
+
+    Each piece (n,) holds until the next one is asked for.
+    """
     image.update_header()
     header, values = image.header, image.dataobj
     header.set_slope_inter(1.0, 0.0)
     head = io.BytesIO()
     header.write_to(head)
-    write_piece(head.getvalue().ljust(header.get_data_offset(), b"\0"))
+    yield np.frombuffer(head.getvalue().ljust(header.get_data_offset(), b"\0"), np.uint8)
     nx, ny, nz = values.shape
     layers = max(1, TURNED // (4 * nx * ny))
     for begin in range(0, nz, layers):
         part = values[:, :, begin : begin + layers]
         # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
-        turned = np.ascontiguousarray(part.reshape(nx, -1).T).reshape(ny, -1, nx)
-        write_piece(np.ascontiguousarray(turned.transpose(1, 0, 2)).reshape(-1).view(np.uint8).data)
+        first, second = (thread_room(name, part.nbytes).view(part.dtype) for name in ("turned", "turned twice"))
+        turned = first.reshape(-1, nx)
+        turned[:] = part.reshape(nx, -1).T
+        second.reshape(-1, ny, nx)[:] = turned.reshape(ny, -1, nx).transpose(1, 0, 2)
+        yield second.view(np.uint8)
 
 
 def opened(path: Path, holder: FileHolder | None = None) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import threading
 
 import pytest
 
@@ -20,7 +19,6 @@ def small(monkeypatch, request):
     monkeypatch.setattr(direct_file, "ROOM", ROOM)
     monkeypatch.setattr(direct_file, "LEAST", 0)
     monkeypatch.setattr(direct_file, "LEAST_BESIDE", 0 if request.param else 1 << 40)
-    monkeypatch.setattr(direct_file, "_own", threading.local())
 
 
 def written(path, content: bytes, step: int) -> bytes:
