@@ -29,6 +29,7 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
 from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.runtime.prefetch import prefetch
+from sdm.runtime.sharing.folder_job import ShardTold, this_process
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
 
@@ -117,9 +118,9 @@ class Job:
         )
 
     def run(
-        self, shards: Iterable[int], maker: Maker, done: Callable[[int], None], *, times: StageTimes | None = None
+        self, shards: Iterable[int], maker: Maker, done: Callable[[ShardTold], None], *, times: StageTimes | None = None
     ) -> None:
-        """Make and write shards; `done(number)` is called for each that is on the disk, in their order.
+        """Make and write shards; `done` is called with the report of each that is on the disk, in their order.
 
         While some shards are compressed and written, the next is made.
 
@@ -149,7 +150,7 @@ class Job:
                 for outcome in written:
                     if isinstance(outcome, Failed):
                         raise outcome.error
-                    done(outcome.value)
+                    done(ShardTold(outcome.value, [], this_process(), times.told()))
         except OSError as error:
             why = error.strerror or error
             raise FormatError(f"{self.folder} cannot be written: {why}; --resume goes on from there") from error

@@ -20,14 +20,21 @@ from sdm.io.files.lock import alone
 from sdm.io.files.stand_in import known, moved
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.devices import device_kind, devices_for
+from sdm.runtime.sharing.folder_job import ShardTold, this_process
 from sdm.runtime.sharing.processes import run_here
 from sdm.runtime.sharing.ray_cluster import run_on_ray
+from sdm.runtime.sharing.share_out import START, processes_for
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker
 
 # Files of one dataset: beyond, folders and the list of checksums are slower than the maps.
 MOST_FILES = 10_000_000
+# Of maps that one process of an H100's host writes, and that it makes of shapes that take long, by which a GPU gets
+# several processes, and each GPU one.
+BYTES_A_SECOND, SLOWLY = 3e9, 1e8
+# Larger maps fill a GPU, and its memory, by one process.
+LARGEST_OF_SEVERAL = 1 << 25
 
 Progress = Callable[[int, int], None]
 
@@ -70,12 +77,13 @@ def generate(
         shard: Samples in one file; by default 256 MiB of them.
         compression: "zstd" (lossless) or "none".
         device: "cuda:1", "cpu", ...; by default every GPU there is, else the CPU.
-        processes: The device of each process that takes part, in place of `device`; by default one for each.
+        processes: The device of each process that takes part, in place of `device`; by default one for each GPU, and
+            several on each where many maps are still to be made.
         ray: Address of a Ray cluster whose GPUs share the work ("auto" for the one this machine is in).
         resume: Finish an unfinished dataset of the same recipe; what is there stays.
         source: What the family was made from, kept in the manifest.
         progress: Called with the number of samples on the disk and `count`.
-        times: The clock of the stages, where one process makes all.
+        times: The clock of the stages, which hears those of other processes.
 
     Returns:
         The path.
@@ -100,7 +108,7 @@ def generate(
         raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
     if dtype not in (torch.float32, torch.float16):
         raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
-    devices = ["cpu"] if ray is not None else processes or devices_for(device)
+    devices = ["cpu"] if ray is not None else devices_for(device) if processes is None else processes
     # Refuses what makes no sense before anything is on the disk.
     signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
     maker = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate, **signs)
@@ -135,7 +143,7 @@ def generate(
     manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, at, as_sampler(sampler), seed, dtype, truncate, sign, hole_size, known())
     with alone(folder):
-        fill(job, devices, ray, progress, times)
+        fill(job, devices, ray, progress, times, processes)
         finish(folder, target)
     return target
 
@@ -181,12 +189,17 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
 
 
 def fill(
-    job: Job, devices: list[str], ray: str | None, progress: Progress | None, times: StageTimes | None = None
+    job: Job,
+    devices: list[str],
+    ray: str | None,
+    progress: Progress | None,
+    times: StageTimes | None = None,
+    processes: list[str] | None = None,
 ) -> None:
     """Make every shard that is missing."""
     count = layout.shard_count(job.manifest)
     missing = [n for n in range(count) if not layout.is_done(job.folder, job.manifest, n)]
-    remake(job, missing, devices, ray, progress, times)
+    remake(job, missing, devices, ray, progress, times, processes)
 
 
 def remake(
@@ -196,6 +209,7 @@ def remake(
     ray: str | None,
     progress: Progress | None,
     times: StageTimes | None = None,
+    processes: list[str] | None = None,
 ) -> None:
     """Make these shards, whatever is there."""
     rows = [end - begin for begin, end in (layout.rows_of(job.manifest, n) for n in shards)]
@@ -203,9 +217,11 @@ def remake(
     total = job.manifest["count"]
     written = total - sum(rows)
 
-    def done(number: int) -> None:
+    def done(told: ShardTold) -> None:
         nonlocal written
-        written += sizes[number]
+        written += sizes[told.number]
+        if times is not None and told.process != this_process():
+            times.hear(told.process, told.times)
         if progress is not None:
             progress(written, total)
 
@@ -216,7 +232,15 @@ def remake(
     if ray is not None:
         run_on_ray(job, shards, ray, done)
     else:
-        run_here(job, shards, devices, done, times)
+        run_here(job, shards, processes or processes_of(job, sum(rows), devices), done, times)
+
+
+def processes_of(job: Job, maps: int, devices: list[str]) -> list[str]:
+    """The device of each process that makes so many maps: see `processes_for`."""
+    nbytes = job.grid.size * job.dtype.itemsize
+    found = processes_for(devices, maps * nbytes / BYTES_A_SECOND, several=nbytes <= LARGEST_OF_SEVERAL)
+    # Shapes of one's own may take long.
+    return devices if len(found) < len(devices) and maps * nbytes / SLOWLY > START else found
 
 
 def finish(folder: Path, target: Path) -> None:

@@ -29,6 +29,11 @@ class ShardTold(NamedTuple):
     times: tuple[dict[str, int], dict[str, float]]
 
 
+def this_process() -> str:
+    """Name of this process in reports of shards."""
+    return f"{platform.node()} {os.getpid()}"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FolderJob:
     """Items in shards.
@@ -85,7 +90,7 @@ class FolderJob:
         for one in work(numbers()):
             told.append(one)
             if len(told) == len(self.numbers(begun[0])):
-                done(ShardTold(begun.pop(0), told, f"{platform.node()} {os.getpid()}", times.told()))
+                done(ShardTold(begun.pop(0), told, this_process(), times.told()))
                 told = []
 
 

@@ -1,0 +1,43 @@
+"""Who makes a dataset."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from sdm.core.grid import Grid
+from sdm.dataset.writer import processes_of
+from sdm.runtime.sharing import share_out
+
+
+@pytest.fixture(autouse=True)
+def many_cores(monkeypatch):
+    monkeypatch.setattr(share_out, "cores", lambda: 32)
+
+
+def job(resolution: int) -> Any:
+    grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (resolution,) * 3)
+    return SimpleNamespace(grid=grid, dtype=torch.float32)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "maps", "each"),
+    [
+        # One GPU has ended when others would have started, whatever the shapes.
+        (64, 500, 0.5),
+        (64, 5_000, 1),
+        (64, 100_000, 4),
+        # Large maps fill a GPU.
+        (256, 100_000, 1),
+    ],
+)
+def test_long_work_has_more_processes(resolution, maps, each):
+    two = ["cuda:0", "cuda:1"]
+    assert len(processes_of(job(resolution), maps, two)) == 2 * each
+
+
+def test_the_engine_of_a_cpu_has_all_of_it():
+    assert processes_of(job(64), 100_000, ["cpu"]) == ["cpu"]
