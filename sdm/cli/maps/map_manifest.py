@@ -22,6 +22,7 @@ from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.cli.maps.work import MapTask
 from sdm.errors import FormatError
+from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.stand_in import address_of, bring, gone
 
 NAME = "unfinished.jsonl"
@@ -39,6 +40,7 @@ class MapManifest:
     """
 
     def __init__(self, folder: Path | None, settings: Settings, *, resume: bool) -> None:
+        self._folder, self._resume = folder, resume
         self._path = None if folder is None else folder / NAME
         self._is_far = folder is not None and address_of(folder) is not None
         self._brought, self._pause = time.monotonic(), SECONDS
@@ -60,6 +62,8 @@ class MapManifest:
     ) -> None:
         if self._file is not None:
             self._file.close()
+        if self._folder is not None and self._resume and kind is None:
+            remove_leftovers(self._folder)
         if self._path is not None and self._path.exists():
             if kind is None:
                 self._remove(self._path)

@@ -15,6 +15,7 @@ from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
+from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -149,6 +150,8 @@ def run(
                 found_of = sampling.some(range(len(sources)))
                 hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)
             sampling.end([entry.state != "failed" for entry in entries])
+            if resume:
+                remove_leftovers(out)
     except OSError as error:
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)

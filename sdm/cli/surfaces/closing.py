@@ -16,6 +16,7 @@ from sdm.cli.surfaces.closing_stages import Closing
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
 from sdm.errors import FormatError, MeshError
+from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.write import WRITERS, ending_to_write
 from sdm.remeshing import WatertightReport
@@ -119,6 +120,8 @@ def run(
         else:
             more = {"single": len(jobs) == 1, "alone": len(jobs) == 1 and not skip_bad}
             hear(surfaces_told(enumerate(jobs), len(jobs), options, journal, times, **more))
+    if resume and folder is not None:
+        remove_leftovers(folder)
     if report is not None:
         write_report(entries, report, surfaces=found, seconds_of_stages=times.seconds)
         journal.close()

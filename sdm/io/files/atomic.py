@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import platform
 import secrets
 import shutil
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from io import RawIOBase
 from pathlib import Path
 
@@ -42,7 +45,7 @@ def replacing(target: Path) -> Iterator[Path]:
     except OSError as error:
         raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
     finally:
-        _remove(part)
+        remove(part)
 
 
 def put(target: Path, content: bytes | Path) -> None:
@@ -113,8 +116,17 @@ def _temporary(target: Path) -> Path:
 
 
 def own_name(path: Path, ending: str = LEFTOVER) -> Path:
-    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN` and the ending."""
-    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{ending}")
+    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN` and the ending.
+
+    The token begins with the `machine`, so that `remove_leftovers` knows whose number of a process it is.
+    """
+    return path.with_name(f".{path.name}.{os.getpid()}-{machine()}{secrets.token_hex(4)}{ending}")
+
+
+@cache
+def machine() -> str:
+    """Eight digits of this machine's name."""
+    return f"{zlib.crc32(platform.node().encode()):08x}"
 
 
 def _flush(path: Path) -> None:
@@ -144,10 +156,11 @@ def _take_place(part: Path, target: Path) -> None:
     except OSError:
         old.rename(target)
         raise
-    _remove(old)
+    remove(old)
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file or a folder of ours, if that can be."""
     # What a link leads to is not ours.
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
