@@ -38,6 +38,7 @@ from sdm.shapes import Cochlea
 # Ways of plain writers, and bytes of each turn of them at most.
 ONE, THREADS, DIRECT = "one after the other", "threads", "threads, direct"
 MOST_PLAIN = 4 * 10**9
+WORKS = ("generate float16 none", "generate float32 zstd", "compute .npz", "compute .nii.gz")
 
 
 @dataclass(frozen=True)
@@ -57,36 +58,40 @@ class Work:
     run: Callable[[Path, StageTimes], Any]
 
 
-def works(folder: Path, maps: int, meshes: int, device: str, processes: int) -> list[Work]:
-    """Both commands in both of their formats."""
-    found = []
-    if maps:
-        family = Cochlea(TRIANGLES)
-        grid = family.grid(MAPS_AT)
-        alone = alone_of_generate(family, grid, maps, device)[0]
-        for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
-
-            def make(out: Path, times: StageTimes, dtype: Any = dtype, compression: str = compression) -> Any:
-                more: dict[str, Any] = {"dtype": dtype, "compression": compression, "processes": [device] * processes}
-                return generate_rates(family, grid, maps, out / "d.zarr", times, **more)
-
-            found.append(Work(f"generate {str(dtype).removeprefix('torch.')} {compression}", maps, alone, make))
-    if meshes:
+def works(names: list[str], folder: Path, maps: int, meshes: int, device: str, processes: int) -> list[Work]:
+    """The commands of these names, each with one of its formats, in their order."""
+    kinds, several = {name.split()[0] for name in names}, [device] * processes
+    alone: dict[str, float] = {}
+    family = Cochlea(TRIANGLES)
+    grid, files = family.grid(MAPS_AT), list[Path]()
+    if "generate" in kinds:
+        alone["generate"] = alone_of_generate(family, grid, maps, device)[0]
+    if "compute" in kinds:
         files = meshes_in(folder / "meshes", meshes)
-        alone = alone_of_compute([sdm.load_mesh(file) for file in files[:300]], MESHES_AT, device)[0]
-        alone *= meshes / min(meshes, 300)
-        for ending in ("npz", "nii.gz"):
+        some = [sdm.load_mesh(file) for file in files[:300]]
+        alone["compute"] = alone_of_compute(some, MESHES_AT, device)[0] * meshes / len(some)
 
-            def measure(out: Path, times: StageTimes, ending: str = ending) -> Any:
-                jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
-                return compute_rates(jobs, MESHES_AT, [device] * processes, times)
+    def make(out: Path, times: StageTimes, dtype: str, compression: str) -> Any:
+        more: dict[str, Any] = {"dtype": getattr(torch, dtype), "compression": compression, "processes": several}
+        return generate_rates(family, grid, maps, out / "d.zarr", times, **more)
 
-            found.append(Work(f"compute .{ending}", meshes, alone, measure))
+    def measure(out: Path, times: StageTimes, ending: str) -> Any:
+        jobs = [(file, out / f"{file.stem}{ending}") for file in files]
+        return compute_rates(jobs, MESHES_AT, several, times)
+
+    found = []
+    for name in names:
+        kind, *how = name.split()
+        run: Any = {"generate": make, "compute": measure}[kind]
+        count = {"generate": maps, "compute": meshes}[kind]
+        found.append(Work(name, count, alone[kind], lambda out, times, run=run, how=how: run(out, times, *how)))
     return found
 
 
-def row_of(work: Work, folder: Path, rounds: int, until: float, device: str, processes: int) -> dict[str, Any]:
-    """Rates of all turns, and the share of the medians."""
+def row_of(
+    work: Work, folder: Path, rounds: int, until: float, device: str, processes: int, most: int
+) -> dict[str, Any]:
+    """Rates of all turns, and the share of the medians; plain writers write so many bytes at most."""
     threads = writers_beside(torch.device(device))
     ours: list[dict[str, float]] = []
     plain: dict[str, list[float]] = {name: [] for name in (ONE, THREADS, DIRECT)}
@@ -103,7 +108,7 @@ def row_of(work: Work, folder: Path, rounds: int, until: float, device: str, pro
         sizes = [file.stat().st_size for file in sorted(out.rglob("*")) if file.is_file()]
         shutil.rmtree(out)
         # Enough to tell the disk's speed.
-        some = sizes[: max(1, len(sizes) * MOST_PLAIN // max(MOST_PLAIN, sum(sizes)))]
+        some = sizes[: max(1, len(sizes) * most // max(most, sum(sizes)))]
         share = sum(some) / sum(sizes) * work.count
         for name, writers, direct in ((ONE, 1, False), (THREADS, threads, False), (DIRECT, threads, True)):
             plain[name].append(share / plain_seconds(folder / "plain", some, threads=writers, direct=direct))
@@ -134,8 +139,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--folder", type=Path, help="a place on the disk; by default that of temporary files")
-    parser.add_argument("--maps", type=int, default=12_000, help="of generate; 0 leaves it out")
-    parser.add_argument("--meshes", type=int, default=600, help="of compute; 0 leaves it out")
+    parser.add_argument("--works", nargs="+", default=list(WORKS), choices=WORKS)
+    parser.add_argument("--maps", type=int, default=12_000, help="of generate")
+    parser.add_argument("--meshes", type=int, default=600, help="of compute")
+    parser.add_argument("--plain", type=int, default=MOST_PLAIN, help="bytes of each turn of plain writers at most")
     parser.add_argument("--processes", type=int, default=1, help="that share the work on the device")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--budget-s", type=float, default=600.0, help="no round begins later, but the first of each")
@@ -148,8 +155,9 @@ def main() -> None:
     record |= {"load": os.getloadavg()[0], "file_system": file_system_of(folder), "pipelines": []}
     out = options.out or results_folder() / f"disk-real-{options.device.partition(':')[0]}.json"
     try:
-        for work in works(folder, options.maps, options.meshes, options.device, options.processes):
-            row = row_of(work, folder, options.rounds, until, options.device, options.processes)
+        sizes = options.maps, options.meshes, options.device, options.processes
+        for work in works(options.works, folder, *sizes):
+            row = row_of(work, folder, options.rounds, until, options.device, options.processes, options.plain)
             record["pipelines"].append(row)
             print(" ".join(f"{key} {value}" for key, value in row.items()), flush=True)
             # What is measured is kept, should the rest be cut off.

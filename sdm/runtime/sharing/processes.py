@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import torch
+
 from sdm.errors import SDMError
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.job import SharedJob
@@ -84,6 +86,8 @@ def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
 def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
     # An interrupt is the first process's to take, which ends this one; and it must not work on if that was killed.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Beside others it has not all cores.
+    torch.set_num_threads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     def shards() -> Iterator[int]:
