@@ -36,9 +36,11 @@ def readers(record: dict[str, Any]) -> list[float]:
 
 
 def shares_of_a_disk(record: dict[str, Any]) -> list[float]:
-    """Shares of the speed of a plain writer, file after file, and of the best one, of each work."""
-    rows = record["pipelines"]
-    return [row[key] for key in ("of_one_after_the_other", "of_smaller") for row in rows]
+    """Shares of the best plain writer's speed, or of the engine's: of datasets, then of maps of meshes."""
+    shares = {row["work"]: row["of_smaller"] for row in record["pipelines"]}
+    return [
+        shares[work] for work in ("generate float16 none", "generate float32 zstd", "compute .npz", "compute .nii.gz")
+    ]
 
 
 def shares_in_pairs(record: dict[str, Any]) -> list[float]:
@@ -47,16 +49,14 @@ def shares_in_pairs(record: dict[str, Any]) -> list[float]:
     return [min(row["of_engine"] for row in rows), min(row["of_engine_cpu"] for row in rows)]
 
 
-def by_devices(record: dict[str, Any]) -> list[float]:
-    """Of a dataset by two GPUs and one: maps a second once they run, and thousands of maps and seconds of all."""
-    one, two = (row for row in record["rows"] if row["work"].startswith("generate"))
-    return [two["steady"], one["steady"], one["count"], *(row["count"] / row["of_all"] for row in (two, one))]
-
-
-def starts(record: dict[str, Any]) -> list[float]:
-    """Of maps of meshes: how many, and seconds by one process, and by two, four and eight new ones."""
-    rows = sorted((len(row["processes"]), row) for row in record["rows"] if row["work"].startswith("compute"))
-    return [rows[0][1]["count"], *(row["count"] / row["of_all"] for _, row in rows)]
+def by_processes(record: dict[str, Any], work: str, ways: Sequence[str]) -> list[float]:
+    """Items a second once processes run, of one process, of several on one GPU, and of one and several on each."""
+    found: dict[str, float] = {}
+    for row in record["rows"]:
+        gpus, processes = len(set(row["processes"])), len(row["processes"])
+        if row["work"] == work:
+            found[f"{gpus} x {processes // gpus}"] = row["steady"]
+    return [found[way] for way in ways]
 
 
 def bytes_of_a_map(record: dict[str, Any]) -> list[float]:
@@ -78,29 +78,20 @@ PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
     ),
     ("wrote {:.0f} maps of 128^3 a second as `.npz` and {:.0f} as", "disk-cuda", rates),
     (
-        (
-            "{:.2f} (float16) and {:.2f} (zstd) times the speed of one plain writer, once its processes have started; "
-            "{:.2f} and {:.2f} of the best"
-        ),
+        "{:.2f} as float16, {:.2f} with zstd, and `sdm compute` {:.2f} as `.npz` and {:.2f} as `.nii.gz`",
         "disk-real-cuda",
         shares_of_a_disk,
     ),
     ("zstd takes {:.2f} MB of its 1.05", "disk-shards-cpu", bytes_of_a_map),
     (
-        (
-            "wrote {:,.0f} maps a second by both, where one GPU wrote {:,.0f}, once the processes ran; with their "
-            "start {:,.0f} maps took {:.0f} s and {:.0f} s"
-        ),
+        "{:,.0f} maps a second by one process, {:,.0f} by four, {:,.0f} by one on each GPU and {:,.0f} by four on each",
         "disk-devices-cuda",
-        by_devices,
+        lambda r: by_processes(r, "generate float16 none", ("1 x 1", "1 x 4", "2 x 1", "2 x 4")),
     ),
     (
-        (
-            "{:,.0f} meshes at 128^3 took one process that ran already {:.0f} s, and two, four and eight new ones "
-            "{:.0f}, {:.0f} and {:.0f} s"
-        ),
+        "as `.npz`: {:,.0f} a second by one process, {:,.0f} by four, {:,.0f} by one on each GPU",
         "disk-devices-cuda",
-        starts,
+        lambda r: by_processes(r, "compute .npz", ("1 x 1", "1 x 4", "2 x 1")),
     ),
     ("took {:.0f} s, and {:.0f} s in the simulation", "disk-many-cpu", many_files),
     ("of the readers, {:.0f} MB/s (STL) to {:.0f} (PLY)", "disk-readers-cpu", readers),
