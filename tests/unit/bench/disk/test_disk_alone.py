@@ -11,7 +11,7 @@ from sdm.bench.disk import plain_writer
 from sdm.bench.disk.devices import compute_rows, generate_rows
 from sdm.bench.disk.pairs import row_of as pairs_of
 from sdm.bench.disk.plain_writer import plain_seconds
-from sdm.bench.disk.real_disk import row_of, works
+from sdm.bench.disk.real_disk import WORKS, row_of, works
 from sdm.bench.disk.steady import rates
 
 
@@ -42,13 +42,9 @@ def test_rates_leave_the_start_out():
 def test_a_row_of_each_work(tmp_path, monkeypatch, capsys):
     for name, value in (("TRIANGLES", 500), ("MAPS_AT", 8), ("MESHES_AT", 8)):
         monkeypatch.setattr(f"sdm.bench.disk.real_disk.{name}", value)
-    found = [row_of(work, tmp_path, 1, 0.0, "cpu") for work in works(tmp_path, 2, 3, "cpu", 1)]
-    assert [row["work"] for row in found] == [
-        "generate float16 none",
-        "generate float32 zstd",
-        "compute .npz",
-        "compute .nii.gz",
-    ]
+    names = [WORKS[3], WORKS[0], WORKS[2], WORKS[1]]
+    found = [row_of(work, tmp_path, 1, 0.0, "cpu", 1, 10**6) for work in works(names, tmp_path, 2, 3, "cpu", 1)]
+    assert [row["work"] for row in found] == names
     assert all(row["of_smaller"] > 0 and row["of_one_after_the_other"] >= row["of_smaller"] for row in found)
     assert not (tmp_path / "out").exists()
 
@@ -56,7 +52,7 @@ def test_a_row_of_each_work(tmp_path, monkeypatch, capsys):
 def test_ways_to_share_and_pairs(tmp_path, monkeypatch, capsys):
     for name, value in (("TRIANGLES", 500), ("MAPS_AT", 8), ("MESHES_AT", 8)):
         monkeypatch.setattr(f"sdm.bench.disk.devices.{name}", value)
-    assert [row["processes"] for row in generate_rows(tmp_path, 2, ["cpu"])] == [["cpu"]]
+    assert [row["processes"] for row in generate_rows(tmp_path, 2, [["cpu"]], torch.float16, "none")] == [["cpu"]]
     assert [row["count"] for row in compute_rows(tmp_path, 3, [["cpu"], ["cpu"]], 2)] == [3, 3]
     monkeypatch.setattr("sdm.bench.disk.pairs.TRIANGLES", 500)
     monkeypatch.setattr("sdm.bench.disk.pairs.MAPS_AT", 8)
