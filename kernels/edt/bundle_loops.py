@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-# Sites side by side of which one is found to be the nearest, as that takes more than to measure them: for places far
-# apart, and for nearer ones.
-FAR, NEAR = 4, 2
-
 # VISIT for each site from `low` to `high` that is there: the way from it to the first place is `from`.
 _WITH_GAPS = """
 #if defined(__CUDA_ARCH__)
@@ -40,16 +36,18 @@ _WITH_GAPS = """
         }
     }
 """
-# Heights of `some` sites from `site` on. What is beyond the last one is out of reach.
-_HEIGHTS = """
-            NEARBY
-            float height[4];
-            #pragma unroll
-            for (int k = 0; k < 4; ++k) {
-                height[k] = INFINITY;
-                if (k < some && site + k <= high)
-                    height[k] = HEIGHT(site + k);
-            }
+# Heights of four sites from `site` on. What is beyond the last one is out of reach.
+_ASK = """
+    float height[4];
+    auto ask = [&](int site, float* height) {
+        NEARBY
+        #pragma unroll
+        for (int k = 0; k < 4; ++k) {
+            height[k] = INFINITY;
+            if (site + k <= high)
+                height[k] = HEIGHT(k);
+        }
+    };
 """
 # Arrays that are read are not written by the same kernel.
 _READ = """
@@ -71,32 +69,25 @@ _LEAST_OF = """
 #endif
     };
 """
-# The nearest of the sites from `low` to `high`, or of each `some` the first one.
-_WINNERS_WITHOUT_GAPS = (
-    _READ
-    + _LEAST_OF
-    + """
+# Of each four sites from `low` to `high` the first one, where one of them is nearest: to tell them apart takes longer
+# than to look at all later.
+_WINNERS_WITHOUT_GAPS = """
     auto look = [&](bool has_boxes) {
-        for (int site = low; site <= high; site += some) {
-"""
-    + _HEIGHTS
-    + """
+        FIRST
+        for (int site = low; site <= high; site += 4) {
+            NEXT
             const float from = wp::float32(place - site);
             #pragma unroll
             for (int i = 0; i < 8; ++i) {
-                float squared[4] = {INFINITY, INFINITY, INFINITY, INFINITY};
+                float squared[4];
                 #pragma unroll
                 for (int k = 0; k < 4; ++k) {
-                    if (k < some) {
-                        float away = from + wp::float32(i * apart - k);
-                        if (has_boxes)
-                            away = wp::max(wp::abs(away) - half, 0.0f);
-                        squared[k] = height[k] + weight * (away * away);
-                    }
+                    float away = from + wp::float32(i * apart - k);
+                    if (has_boxes)
+                        away = wp::max(wp::abs(away) - half, 0.0f);
+                    squared[k] = height[k] + weight * (away * away);
                 }
-                float least = some > 1 ? least_of(squared[0], squared[1], squared[2]) : squared[0];
-                if (some > 3)
-                    least = least_of(least, squared[3], squared[3]);
+                const float least = wp::min(least_of(squared[0], squared[1], squared[2]), squared[3]);
                 if (least < best[i]) {
                     best[i] = least;
                     winner[i] = site;
@@ -109,7 +100,6 @@ _WINNERS_WITHOUT_GAPS = (
     else
         look(true);
 """
-)
 _WINNERS = """
     float best[8];
     int winner[8];
@@ -144,36 +134,28 @@ _WINNERS = """
     }
     return bounds;
 """
-# Squared distances to eight places side by side, which share what they are away from `some` sites side by side.
-_LEAST_WITHOUT_GAPS = (
-    _READ
-    + _LEAST_OF
-    + """
+# Squared distances to eight places side by side, which share what they are away from four sites side by side.
+_LEAST_WITHOUT_GAPS = """
     auto look = [&](bool has_boxes) {
-        for (int site = low; site <= high; site += some) {
-"""
-    + _HEIGHTS
-    + """
-#if defined(__CUDA_ARCH__)
-            // Asked for before any of them is waited for.
-            asm volatile("" : "+f"(height[0]), "+f"(height[1]), "+f"(height[2]), "+f"(height[3]));
-#endif
+        FIRST
+        for (int site = low; site <= high; site += 4) {
+            NEXT
             const float from = wp::float32(place - site);
-            float square[7 + some];
+            float square[11];
             #pragma unroll
-            for (int j = 0; j < 7 + some; ++j) {
-                float away = from + wp::float32(j - some + 1);
+            for (int j = 0; j < 11; ++j) {
+                float away = from + wp::float32(j - 3);
                 if (has_boxes)
                     away = wp::max(wp::abs(away) - half, 0.0f);
                 square[j] = away * away;
             }
             #pragma unroll
-            for (int k = 0; k < some; k += 2) {
+            for (int k = 0; k < 4; k += 2) {
                 if (k == 0 || site + k <= high) {
                     #pragma unroll
                     for (int i = 0; i < 8; ++i) {
-                        const float one = height[k] + weight * square[i + some - 1 - k];
-                        const float other = height[k + 1] + weight * square[i + some - 2 - k];
+                        const float one = height[k] + weight * square[i + 3 - k];
+                        const float other = height[k + 1] + weight * square[i + 2 - k];
                         best[i] = least_of(best[i], one, other);
                     }
                 }
@@ -185,7 +167,6 @@ _LEAST_WITHOUT_GAPS = (
     else
         look(true);
 """
-)
 _LEAST = """
     wp::vec_t<8, wp::float32> best;
     #pragma unroll
@@ -212,36 +193,49 @@ _OTHERS_NEARBY = (
 )
 _NEARER = "if (squared < best[i]) { best[i] = squared; winner[i] = site; }"
 _OF_CLASS = "read(reinterpret_cast<const float*>(nearby + (long long)(4 * k) * stride))"
-_OF_OTHERS = f"read(labels_nearby + (long long)k * stride) == value ? {_OF_CLASS} : 0.0f"
+# Both are asked for at once.
+_OF_OTHERS = f"wanted(read(labels_nearby + (long long)k * stride), {_OF_CLASS})"
+_WANTED = "auto wanted = [&](wp::uint8 label, float height) { return label == value ? height : 0.0f; };"
+# Loads of others wait for labels, too, and are asked for four sites ahead. A class's own gain nothing by that.
+_AT_ONCE = {"FIRST": "", "NEXT": "ask(site, height);"}
+_AHEAD = {
+    "FIRST": "float ahead[4]; ask(low, ahead);",
+    "NEXT": "for (int k = 0; k < 4; ++k) height[k] = ahead[k]; ask(site + 4, ahead);",
+}
 
 
 def winners_of_class() -> str:
     """The body of `line_bundles.nearest_of_class`."""
-    looks = "if (gaps) {" + _WITH_GAPS.replace("VISIT", _NEARER) + "} else {" + _WINNERS_WITHOUT_GAPS + "}"
-    some = f"const int some = gaps ? 1 : apart > 8 ? {FAR} : {NEAR};"
-    return some + _WINNERS.replace("LOOK", looks).replace("HEIGHT(site + k)", _OF_CLASS).replace(
-        "NEARBY", _CLASS_NEARBY
-    )
+    looks = "if (gaps) {" + _WITH_GAPS.replace("VISIT", _NEARER) + "} else {" + _of_class(_WINNERS_WITHOUT_GAPS) + "}"
+    return "const int some = gaps ? 1 : 4;" + _WINNERS.replace("LOOK", looks)
 
 
 def least_of_class() -> str:
     """The body of `line_bundles.least_of_class`."""
     nearer = "best[i] = wp::min(best[i], squared);"
-    looks = "if (gaps) {" + _WITH_GAPS.replace("VISIT", nearer) + "} else {" + _LEAST_WITHOUT_GAPS + "}"
-    return "constexpr int some = 4;" + _LEAST.replace("LOOK", looks).replace("HEIGHT(site + k)", _OF_CLASS).replace(
-        "NEARBY", _CLASS_NEARBY
-    )
+    looks = "if (gaps) {" + _WITH_GAPS.replace("VISIT", nearer) + "} else {" + _of_class(_LEAST_WITHOUT_GAPS) + "}"
+    return _LEAST.replace("LOOK", looks)
 
 
 def winners_of_others() -> str:
     """The body of `line_bundles.nearest_of_others`."""
-    some = f"const int some = apart > 8 ? {FAR} : {NEAR};"
-    return some + _WINNERS.replace("LOOK", _WINNERS_WITHOUT_GAPS).replace("HEIGHT(site + k)", _OF_OTHERS).replace(
-        "NEARBY", _OTHERS_NEARBY
-    )
+    return "const int some = 4;" + _WINNERS.replace("LOOK", _of_others(_WINNERS_WITHOUT_GAPS))
 
 
 def least_of_others() -> str:
     """The body of `line_bundles.least_of_others`."""
-    look = _LEAST_WITHOUT_GAPS.replace("HEIGHT(site + k)", _OF_OTHERS).replace("NEARBY", _OTHERS_NEARBY)
-    return "constexpr int some = 4;" + _LEAST.replace("LOOK", look)
+    return _LEAST.replace("LOOK", _of_others(_LEAST_WITHOUT_GAPS))
+
+
+def _of_class(look: str) -> str:
+    return _filled(_READ + _LEAST_OF + _ASK + look, _CLASS_NEARBY, _OF_CLASS, _AT_ONCE)
+
+
+def _of_others(look: str) -> str:
+    return _filled(_WANTED + _READ + _LEAST_OF + _ASK + look, _OTHERS_NEARBY, _OF_OTHERS, _AHEAD)
+
+
+def _filled(look: str, nearby: str, height: str, order: dict[str, str]) -> str:
+    for name, text in (order | {"NEARBY": nearby, "HEIGHT(k)": height}).items():
+        look = look.replace(name, text)
+    return look

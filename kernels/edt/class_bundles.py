@@ -11,6 +11,7 @@ from sdm.kernels.edt.class_lines import part_of
 from sdm.kernels.edt.line_bundles import (
     greatest_at,
     has_gaps,
+    is_soon,
     least_at,
     least_of_class,
     least_of_others,
@@ -126,6 +127,12 @@ def nearest_other_label_in_bundle(
     base = (outer - kind * outers) * stride * length + column
     first, after = part_of(ends, outer, length)
     far = int(first)
+    going = far < after
+    while going:
+        going = ballot(is_soon(labels, base, stride, far, after, value)) == wp.uint32(0)
+        if going:
+            far = far + 16
+            going = far < after
     going = far < after
     while going:
         going = ballot(places_with(labels, base, stride, far, after, value) != 0) == wp.uint32(0)

@@ -27,6 +27,58 @@ def height_of(steps: int, weight: float, half: float):
     return value
 
 
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits & ~((2u << lane) - 1u)) - 1;
+#else
+    return -1;
+#endif
+"""
+)
+def first_after(bits: wp.uint32, lane: int) -> int:
+    """The first lane after `lane` whose bit is set, or -1."""
+    ...
+
+
+@wp.func
+def write_row(
+    kept: wp.uint32,
+    more: int,
+    length: int,
+    lane: int,
+    lanes: int,
+    weight: float,
+    half: float,
+    out: wp.array(dtype=wp.float32),
+    target: int,
+):
+    """Squared distances in a row of no more words than lanes, each of which has `kept` the sites of one, as bits.
+
+    To sites before a voxel there are `more` steps.
+    """
+    words = (length + lanes - 1) / lanes
+    filled = ballot(kept != wp.uint32(0))
+    before = int(-NOWHERE)
+    for word in range(words):
+        k = word * lanes + lane
+        bits = wp.uint32(int_from_lane(int(kept), word))
+        other = first_after(filled, word)
+        beyond = wp.uint32(int_from_lane(int(kept), wp.max(other, 0)))
+        after = int(NOWHERE + NOWHERE)
+        if other >= 0:
+            after = other * lanes + first_member(beyond)
+        last = last_at_or_before(bits, lane)
+        following = first_after(bits, lane)
+        back = k + more - wp.where(last >= 0, word * lanes + last, before)
+        steps = wp.min(wp.min(back, NOWHERE), wp.where(following >= 0, word * lanes + following, after) - k)
+        if k < length:
+            out[target + k] = height_of(steps, weight, half)
+        last = last_at_or_before(bits, lanes - 1)
+        if last >= 0:
+            before = word * lanes + last
+
+
 @wp.func
 def fill_row(
     labels: wp.array(dtype=wp.uint8),
@@ -42,6 +94,18 @@ def fill_row(
 ):
     """Squared distances in the row of labels from `base` on to its nearest voxel of a value, from `out[target]` on."""
     words = (length + lanes - 1) / lanes
+    if words <= lanes:
+        kept = wp.uint32(0)
+        for word in range(words):
+            k = word * lanes + lane
+            found = bool(False)
+            if k < length:
+                found = int(labels[base + k]) == value
+            bits = ballot(found)
+            if lane == word:
+                kept = bits
+        write_row(kept, 0, length, lane, lanes, weight, half, out, target)
+        return
     before = int(-NOWHERE)
     for word in range(words):
         k = word * lanes + lane
@@ -150,6 +214,18 @@ def nearest_other_label(
     lane = thread - row * lanes
     base = row * length
     words = (length + lanes - 1) / lanes
+    if words <= lanes:
+        kept = wp.uint32(0)
+        for word in range(words):
+            k = word * lanes + lane
+            found = bool(False)
+            if k > 0 and k < length:
+                found = labels[base + k] != labels[base + k - 1]
+            bits = ballot(found)
+            if lane == word:
+                kept = bits
+        write_row(kept, 1, length, lane, lanes, weight, half, out, base)
+        return
     before = int(-NOWHERE)
     for word in range(words):
         k = word * lanes + lane

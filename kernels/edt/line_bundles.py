@@ -230,6 +230,31 @@ def write_places(
 
 @wp.func_native(
     snippet="""
+    const wp::uint8* nearby = labels.data + (base + x * stride);
+#if defined(__CUDA_ARCH__)
+    asm("" : "+l"(nearby));
+#endif
+    const int last = end - 1 - x;
+    bool found = false;
+    #pragma unroll
+    for (int i = 0; i < 16; ++i) {
+        const wp::uint8* at = nearby + (long long)wp::min(i, last) * stride;
+#if defined(__CUDA_ARCH__)
+        found |= __ldg(at) == value;
+#else
+        found |= *at == value;
+#endif
+    }
+    return found;
+"""
+)
+def is_soon(labels: wp.array(dtype=wp.uint8), base: int, stride: int, x: int, end: int, value: wp.uint8) -> bool:
+    """True if one of 16 places from `x` on, before `end`, has a label: all are asked for before one is waited for."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
     int found = 0;
     #pragma unroll
     for (int i = 0; i < 8; ++i)
