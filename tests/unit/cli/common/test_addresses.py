@@ -68,7 +68,8 @@ def base(request, tmp_path, monkeypatch):
         yield address
     # Nothing is left here.
     assert not stand_in.known()
-    assert not list((tmp_path / "temporary").iterdir())
+    # Warp keeps a folder of headers while it compiles.
+    assert not [path for path in (tmp_path / "temporary").iterdir() if not path.name.startswith("wp_pch_")]
 
 
 def opened(address: str) -> tuple[Any, str]:
