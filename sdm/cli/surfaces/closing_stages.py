@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.surface import Method
@@ -15,6 +17,10 @@ from sdm.io.maps.record import digest_of
 from sdm.io.meshes.write import save_mesh
 from sdm.remeshing import WatertightReport, watertight
 from sdm.remeshing.watertight import Hidden
+from sdm.runtime.host_copy import HostCopy
+
+# Bytes of vertices or faces above which they are not copied through pinned memory, which stays the process's.
+MOST_PINNED = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -47,17 +53,21 @@ class ReadSurface:
 
 @dataclass(frozen=True)
 class Closed:
-    """A mesh with its surface, on the host, and the report about them; neither if it is there already."""
+    """A mesh with its surface and the report about them; neither if it is there already.
+
+    Args:
+        read: The mesh.
+        surface: Vertices and faces on their way to the host.
+        nbytes: Their memory.
+        report: About both.
+        seconds: That all took.
+    """
 
     read: ReadSurface
-    surface: TriangleMesh | None
+    surface: tuple[HostCopy[Tensor], HostCopy[Tensor]] | None
+    nbytes: int
     report: WatertightReport | None
     seconds: float
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the surface."""
-        return 0 if self.surface is None else self.surface.vertices.nbytes + self.surface.faces.nbytes
 
 
 class ClosingStages:
@@ -78,7 +88,7 @@ class ClosingStages:
     def close(self, read: ReadSurface) -> Closed:
         """Make the surface of a mesh."""
         if read.known is not None:
-            return Closed(read, None, None, read.seconds)
+            return Closed(read, None, 0, None, read.seconds)
         start, options = time.perf_counter(), self._options
         surface, report = watertight(
             read.mesh,
@@ -90,13 +100,22 @@ class ClosingStages:
             device=options.device,
             return_report=True,
         )
-        return Closed(read, surface.to("cpu"), report, read.seconds + time.perf_counter() - start)
+        parts = surface.vertices, surface.faces
+        copies = _to_host(parts[0]), _to_host(parts[1])
+        nbytes = parts[0].nbytes + parts[1].nbytes
+        return Closed(read, copies, nbytes, report, read.seconds + time.perf_counter() - start)
 
     def write(self, found: Closed) -> Closed:
         """Write a surface."""
         if found.surface is None:
             return found
         start = time.perf_counter()
-        save_mesh(found.surface, found.read.target)
+        vertices, faces = (copy.wait() for copy in found.surface)
+        save_mesh(TriangleMesh(vertices, faces, found.read.mesh.name, check=False), found.read.target)
         # What was written is let go.
-        return Closed(found.read, None, found.report, found.seconds + time.perf_counter() - start)
+        return Closed(found.read, None, 0, found.report, found.seconds + time.perf_counter() - start)
+
+
+def _to_host(values: Tensor) -> HostCopy[Tensor]:
+    """Vertices or faces on their way to the host: beside what the device does next, unless there are very many."""
+    return HostCopy(values if values.nbytes <= MOST_PINNED else values.cpu(), lambda on_host: on_host)
