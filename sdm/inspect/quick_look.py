@@ -32,6 +32,7 @@ class MeshLook:
         self._states = _states(mesh)
         self._plain: bool | None = None
         self._closed: bool | None = None
+        self._by_one_look: bool | None = None
         self._problems: list[str] | None = None
         # Of the faces alone: whoever keeps a mesh keeps its vertices, and so this.
         self._outward: list[Tensor] | None = None
@@ -52,17 +53,23 @@ class MeshLook:
             self._closed = (self._plain is None and self._is_plainly_closed(mesh)) or _is_closed(mesh)
         return self._closed
 
+    def closes_plainly(self, mesh: TriangleMesh) -> bool:
+        """True if one look finds a mesh on the host closed, every component facing outward. False says nothing."""
+        if self._by_one_look is None:
+            from sdm.topology.closed_look import is_plainly_closed
+
+            self._by_one_look = is_plainly_closed(mesh.vertices, mesh.faces, PLAIN_VOLUME)
+            if self._by_one_look:
+                self._plain = self._closed = True
+        return self._by_one_look
+
     def _is_plainly_closed(self, mesh: TriangleMesh) -> bool:
-        from sdm.topology.closed_look import is_plainly_closed
         from sdm.topology.face_pairing import is_known
 
         # What is paired already tells as much for less.
         if mesh.device.type != "cpu" or is_known(mesh.faces, mesh.vertices.shape[0]):
             return False
-        found = is_plainly_closed(mesh.vertices, mesh.faces, PLAIN_VOLUME)
-        if found:
-            self._plain = self._closed = True
-        return found
+        return self.closes_plainly(mesh)
 
     def problems(self, mesh: TriangleMesh) -> list[str]:
         """The `sign_problems` of `inspect_mesh`."""

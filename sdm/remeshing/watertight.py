@@ -18,11 +18,10 @@ from sdm.engine.surface import Method
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.inspect import inspect_mesh
 from sdm.inspect.positions import are_distinct
-from sdm.inspect.quick_look import PLAIN_VOLUME
+from sdm.inspect.quick_look import look_at
 from sdm.remeshing.beads import JOINED, without_beads
 from sdm.remeshing.closing_field import closing_field, is_reached, with_zeros_inside
 from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
-from sdm.topology.closed_look import is_plainly_closed
 
 Hidden = Literal["drop", "keep"]
 # A hundredth more than half a voxel: a sheet midway between two layers of voxels is half a voxel from both.
@@ -153,7 +152,7 @@ def closedness(mesh: TriangleMesh) -> tuple[bool, bool]:
     Most closed meshes are told by one look at their edges, in a tenth of the time of `inspect_mesh`.
     """
     here = mesh.to("cpu")
-    if is_plainly_closed(here.vertices, here.faces, PLAIN_VOLUME) and are_distinct(here.vertices.detach().numpy()):
+    if look_at(here).closes_plainly(here) and are_distinct(here.vertices.detach().numpy()):
         return True, True
     found = inspect_mesh(here)
     # Sheets that are there twice have no free edge either, and no inside.

@@ -12,6 +12,7 @@ from torch import Tensor
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.surface import Method
+from sdm.inspect.quick_look import look_at
 from sdm.io import load_mesh
 from sdm.io.maps.record import digest_of
 from sdm.io.meshes.write import save_mesh
@@ -83,6 +84,9 @@ class ClosingStages:
         mesh = load_mesh(source)
         digest = digest_of(mesh, self._options.how)
         known = self._journal.find(target, digest)
+        if known is None:
+            # What the next stage asks first, by this thread: that stage is the one that others wait for.
+            look_at(mesh).closes_plainly(mesh)
         return ReadSurface(target, mesh, digest, known, time.perf_counter() - start)
 
     def close(self, read: ReadSurface) -> Closed:
