@@ -72,6 +72,10 @@ def main() -> None:
         "warp,warp-map",
     )
     each["cases"].add_argument("--count", type=int, default=9)
+    each["cases"].add_argument("--first", type=int, default=0, help="begin with this case")
+    each["cases"].add_argument(
+        "--step", type=int, default=1, help="only each so many cases: other processes do the others"
+    )
     each["cases"].add_argument("--resume", action="store_true", help="keep the cases in --out, of a machine like this")
     each["cases"].add_argument("--quick", action="store_true", help="two cases")
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")

@@ -38,7 +38,7 @@ def cases(options: argparse.Namespace) -> None:
     deadline = time.monotonic() + options.budget_s
     rows: list[dict[str, Any]] = []
     warm = False
-    for number in range(2 if options.quick else options.count):
+    for number in range(options.first, 2 if options.quick else options.count, options.step):
         if number + 1 in done:
             rows.append(before[number + 1])
             continue
@@ -66,7 +66,9 @@ def cases(options: argparse.Namespace) -> None:
         for name in names:
             print(f"{number + 1} {scanner} mm {name:<10}", row[name], flush=True)
         write(options.out, {"cases": rows, "summary": _summary(rows), "machine": machine})
-    print(_summary(rows))
+    if rows:
+        write(options.out, {"cases": rows, "summary": _summary(rows), "machine": machine})
+        print(_summary(rows))
 
 
 def _before(out: Path) -> dict[int, dict[str, Any]]:
