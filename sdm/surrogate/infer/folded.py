@@ -31,6 +31,8 @@ PAIRS = {torch.float32: torch.int64, torch.bfloat16: torch.int32}
 FOURS = {torch.float32: torch.complex128, torch.bfloat16: torch.int64}
 # Rows of the 8-bit modes are filled up to a multiple of this: torch's kernel reads whole vectors.
 ROWS = 64
+# Modes are 8-bit numbers where these, times the scale, are no further from them than this share of the scale.
+LARGEST_ROUNDING = 1e-3
 # Largest error of the maps by 8-bit modes, as a share of their largest value: bfloat16 rounds by 0.004.
 LARGEST_ERROR = 0.01
 
@@ -118,11 +120,12 @@ class _Modes:
         if dtype != torch.bfloat16 or not len(rest) or self._product is None:
             return
         scale = rest.abs().amax(1).clamp_min(1e-12) / WHOLE
-        whole = (rest / scale[:, None]).round()
-        if not torch.allclose(whole * scale[:, None], rest, rtol=1e-5, atol=0):
+        whole = (rest / scale[:, None]).round_().to(torch.int8)
+        rounded = torch.addcmul(rest, whole, scale[:, None], value=-1).abs_().amax(1)
+        if bool((rounded > scale * LARGEST_ROUNDING).any()):
             return
         rows = -(-len(rest) // ROWS) * ROWS
-        packed = nn.functional.pad(whole.t().to(torch.int8), (0, rows - len(rest))).contiguous()
+        packed = nn.functional.pad(whole.t(), (0, rows - len(rest))).contiguous()
         self._scale = nn.functional.pad(scale, (0, rows - len(rest)))
         self._small = packed, torch.ones(len(packed), dtype=dtype)
         # It is no documented part of torch, so that it has to show that it works.

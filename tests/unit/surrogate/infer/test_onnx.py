@@ -8,6 +8,7 @@ import torch
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea
 from sdm.surrogate import SDMNNPlus, build, load_surrogate
+from sdm.surrogate.infer import runtime
 from sdm.surrogate.infer.runtime import BACKENDS, NEEDS, available, runner
 from sdm.training.precision import cpu_has_bfloat16
 
@@ -47,6 +48,15 @@ def test_bfloat16_of_the_refinement_is_close(backend):
         assert float(error.mean()) < 5e-4
         # Where the processor has bfloat16, it is used.
         assert backend == "openvino" or bool(error.any()) == cpu_has_bfloat16()
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_torch_goes_before_onnx_runtime_where_it_has_bfloat16(there, monkeypatch):
+    monkeypatch.setattr(runtime, "available", lambda: ["onnxruntime", "torch"])
+    monkeypatch.setattr(runtime, "cpu_has_bfloat16", lambda: there)
+    model = SDMNNPlus(modes=2, channels=2)
+    assert runtime._fastest(model, True) == ("torch" if there else "onnxruntime")
+    assert runtime._fastest(model, False) == "onnxruntime"
 
 
 def test_torch_is_always_there_and_others_are_refused_in_a_sentence():
