@@ -77,18 +77,28 @@ def _edge(one: int, other: int) -> int:
 _FACE_EDGES = [[_edge(face[n], face[(n + 1) % 4]) for n in range(4)] for face in FACES]
 
 
-def _loops(inside: int, joined: int) -> list[tuple[int, ...]]:
-    """Loops of edges that the surface crosses, counter-clockwise seen from outside the surface."""
+@cache
+def _links(number: int, bits: tuple[int, ...], joined: int) -> list[tuple[int, int]]:
+    """Pairs of crossed edges of a face, of which the surface's loop goes from the one to the other."""
+    leaving = [n for n in range(4) if bits[n] and not bits[(n + 1) % 4]]
+    entering = [n for n in range(4) if bits[(n + 1) % 4] and not bits[n]]
+    # Around inside corners that are apart, around outside ones where the inside is joined.
+    way = 1 if joined else -1
+    begins = [min(entering, key=lambda n, end=end: way * (n - end) % 4) for end in leaving]
+    edges = _FACE_EDGES[number]
+    return [(edges[begin], edges[end]) for begin, end in zip(begins, leaving, strict=True)]
+
+
+def _loops(bits: list[tuple[int, ...]], joined: int) -> list[tuple[int, ...]]:
+    """Loops of edges that the surface crosses, counter-clockwise seen from outside the surface.
+
+    Args:
+        bits: Of each face, 1 for its corners inside.
+        joined: A bit for each face whose inside corners are joined.
+    """
     following: dict[int, int] = {}
-    for number, face in enumerate(FACES):
-        bits = [inside >> corner & 1 for corner in face]
-        leaving = [n for n in range(4) if bits[n] and not bits[(n + 1) % 4]]
-        entering = [n for n in range(4) if bits[(n + 1) % 4] and not bits[n]]
-        # Around inside corners that are apart, around outside ones where the inside is joined.
-        way = 1 if joined >> number & 1 else -1
-        for end in leaving:
-            begin = min(entering, key=lambda n: way * (n - end) % 4)
-            following[_FACE_EDGES[number][begin]] = _FACE_EDGES[number][end]
+    for number, corners in enumerate(bits):
+        following.update(_links(number, corners, joined >> number & 1))
     loops = []
     while following:
         edge = min(following)
@@ -123,20 +133,25 @@ _COSTS = _costs()
 def _division(loop: tuple[int, ...]) -> list[tuple[int, int, int]] | None:
     """The triangles of a loop with the shortest diagonals; None if each division has a diagonal in a face."""
     count = len(loop)
-    best: dict[tuple[int, int], tuple[float, list[tuple[int, int, int]]]] = {}
-    for width in range(1, count):
+    # Of the vertices from one to another: the cost, and the vertex beyond the diagonal between the two.
+    costs, choice = [[0.0] * count for _ in loop], {}
+    for width in range(2, count):
         for begin in range(count - width):
             end = begin + width
-            if width == 1:
-                best[begin, end] = (0.0, [])
-                continue
             diagonal = 0.0 if width == count - 1 else _COSTS[loop[begin]][loop[end]]
-            options = [(best[begin, k][0] + best[k, end][0] + diagonal, k) for k in range(begin + 1, end)]
-            cost, k = min(options)
-            parts = best[begin, k][1] + best[k, end][1] + [(loop[begin], loop[k], loop[end])]
-            best[begin, end] = (cost, parts)
-    cost, triangles = best[0, count - 1]
-    return triangles if np.isfinite(cost) else None
+            before, options = costs[begin], range(begin + 1, end)
+            cost, k = min([(before[k] + costs[k][end] + diagonal, k) for k in options])
+            before[end], choice[begin, end] = cost, k
+    if costs[0][-1] == np.inf:
+        return None
+
+    def triangles(begin: int, end: int) -> list[tuple[int, int, int]]:
+        if end == begin + 1:
+            return []
+        k = choice[begin, end]
+        return [*triangles(begin, k), *triangles(k, end), (loop[begin], loop[k], loop[end])]
+
+    return triangles(0, count - 1)
 
 
 @cache
@@ -145,13 +160,13 @@ def cell_cases() -> CellCases:
     first, ambiguous, start, centres, loops, loop_of = [], [], [0], [], [], []
     triangles: list[tuple[int, int, int]] = []
     for inside in range(256):
-        bits = [[inside >> corner & 1 for corner in face] for face in FACES]
+        bits = [tuple([inside >> corner & 1 for corner in face]) for face in FACES]
         unclear = [n for n, face in enumerate(bits) if face[0] == face[2] != face[1] == face[3]]
         first.append(len(loops))
         ambiguous.append(sum(1 << n for n in unclear))
         for packed in range(1 << len(unclear)):
             joined = sum(1 << n for place, n in enumerate(unclear) if packed >> place & 1)
-            found = _loops(inside, joined)
+            found = _loops(bits, joined)
             row, middles = [NO_LOOP] * 12, 0
             for number, loop in enumerate(found):
                 for edge in loop:
