@@ -281,7 +281,7 @@ def open_box(
 # The largest boxes that are looked at so, in bits. Where tolerances are small, nodes added to voxels would be many.
 LARGEST = 2
 MODES = MIXED, TO_VOXELS, TO_VOXELS, MIXED
-SMALL_TOLERANCES = 1.5e-4, 2e-5, 2e-6, 3e-7
+SMALL_TOLERANCES = 2e-4, 3e-5, 2e-6, 3e-7
 
 
 def open_caps_by_eights(

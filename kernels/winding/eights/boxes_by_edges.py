@@ -20,12 +20,14 @@ from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
 from sdm.kernels.winding.cap_field import doubt, most_change, share_at
 from sdm.kernels.winding.eight_voxels import place_in_box
+from sdm.kernels.winding.eights.box_strips import EIGHT, ERROR, SHARE, X, Y, Z, strips_of_box
+from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.open_caps import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.rims.doubtful_voxels import place_of_voxel
 from sdm.kernels.winding.rims.edge_boxes import ASIDE, BOX_BITS, ROOM, TOLERANCES, WIDER, field_of
-from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR, Eight, strips_at
+from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
@@ -51,6 +53,7 @@ def _open_boxes_by_eights(
     length: int,
     counts: wp.array(dtype=wp.int32),
     stacks: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.float32),
     values: wp.array4d(dtype=wp.float32),
 ):
     """Open boxes of 2^bits voxels along each edge, `cells` along each axis; list those that leave some in doubt.
@@ -58,6 +61,7 @@ def _open_boxes_by_eights(
     `next_item`, `looked` and `length` are places of the counts.
     """
     stack = large_stack_of(stacks, begin + wp.tid())
+    at_places = (begin + wp.tid()) * PLACES
     total = values.shape[0] * cells[0] * cells[1] * cells[2]
     across_room = LARGE_STACK_ON_CPU - _ROOM
     item = fetch_add_once(counts, next_item, 1, 0)
@@ -85,34 +89,33 @@ def _open_boxes_by_eights(
         if near > _ROOM or across > across_room or not error < MOST_DOUBT:
             undone = int(255)
         else:
-            first = int(0)
-            while first < 1 << (3 * bits):
-                xs = Eight()
-                ys = Eight()
-                zs = Eight()
-                for k in range(8):
-                    v = start + place_in_box(first + k, bits)
+            voxels = 1 << (3 * bits)
+            if not plain:
+                for number in range(voxels):
+                    v = start + place_in_box(number, bits)
                     p = scale * voxel(here, v[0], v[1], v[2])
-                    xs[k] = p[0]
-                    ys[k] = p[1]
-                    zs[k] = p[2]
-                found = strips_at(boundary.ends, stack, 0, near, _ROOM, across, c, radius, xs, ys, zs)
-                for k in range(8):
-                    v = start + place_in_box(first + k, bits)
-                    if is_left(slab, values, mesh, v):
-                        whole = values[mesh, v[0], v[1], v[2]]
-                        share = middle
-                        wrong = error + change
-                        if not plain:
-                            share = share_at(field, wp.vec3(xs[k], ys[k], zs[k]) - c) + found[k]
-                            wrong = error + found[8 + k]
-                        if is_sure(whole + share, whole, wrong):
-                            values[mesh, v[0], v[1], v[2]] = opened(whole + share)
-                        else:
-                            inner = place_in_box(first + k, bits)
-                            h = bits - 1
-                            undone = undone | (1 << (4 * (inner[0] >> h) + 2 * (inner[1] >> h) + (inner[2] >> h)))
-                first = first + 8
+                    to = at_places + EIGHT * (number >> 3) + (number & 7)
+                    places[to + X] = p[0]
+                    places[to + Y] = p[1]
+                    places[to + Z] = p[2]
+                strips_of_box(boundary.ends, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels >> 3)
+            for number in range(voxels):
+                inner = place_in_box(number, bits)
+                v = start + inner
+                if is_left(slab, values, mesh, v):
+                    whole = values[mesh, v[0], v[1], v[2]]
+                    share = middle
+                    wrong = error + change
+                    if not plain:
+                        of = at_places + EIGHT * (number >> 3) + (number & 7)
+                        way = wp.vec3(places[of + X], places[of + Y], places[of + Z]) - c
+                        share = share_at(field, way) + places[of + SHARE]
+                        wrong = error + places[of + ERROR]
+                    if is_sure(whole + share, whole, wrong):
+                        values[mesh, v[0], v[1], v[2]] = opened(whole + share)
+                    else:
+                        h = bits - 1
+                        undone = undone | (1 << (4 * (inner[0] >> h) + 2 * (inner[1] >> h) + (inner[2] >> h)))
         fetch_add(counts, looked, 1)
         if undone != 0:
             place = fetch_add(counts, length, 1)
@@ -181,13 +184,14 @@ def open_edges_by_eights(
     rows = empty(meshes * blocks * ROW, wp.float32)
     launch(pack_edges, meshes * blocks, [boundary, boundary.count, blocks, rows], device)
     stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32)
+    places = empty(workers * PLACES, wp.float32)
     bits, tolerance = BOX_BITS["cpu"], TOLERANCES["cpu"]
     level = BITS.index(bits)
     at, after = STRIDE * level, STRIDE * (level + 1)
     cells = wp.vec3i(*(-(-n >> bits) for n in shape))
     left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
     inputs = [tree, boundary, rows, blocks, slab, bits, tolerance, cells, left, left_octants]
-    inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, values]
+    inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, places, values]
     launch(_open_boxes_by_eights, workers, inputs, device, smallest=1)
     inputs = [tree, boundary, rows, blocks, slab, bits, cells, left, left_octants]
     inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, values]
