@@ -8,6 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.primitives.wide_numbers import NUMBERS
+from sdm.kernels.winding.eights.packed_edges import BEGIN, END, ROW, TIMES
 from sdm.kernels.winding.rims.float32_sum import LARGEST_PRODUCT, SECOND, SHRINK, SUMMED, UNIT
 from sdm.kernels.winding.rims.radial_strips import ANGLE, FIRST, SECOND_FACTOR, SNAP
 
@@ -32,16 +33,19 @@ ROOM = EIGHT * MOST // 8
     }}
     auto load = [&](int from) {{ T x; __builtin_memcpy(&x, voxels + from, 32); return x; }};
     // Numbers of an edge: the ways to its ends, lengths, k, n, m and errors.
-    enum {{ AX, AY, AZ, BX, BY, BZ, LA, LB, K, NX, NY, NZ, MX, MY, MZ, OFF_Q, OFF_2, COUNT }};
+    enum {{ AX, AY, AZ, BX, BY, BZ, LA, LB, K, NX, NY, NZ, MX, MY, MZ, OFF_Q, OFF_2, TWICE, COUNT }};
     T ready[COUNT];
     for (int i = 0; i < near; ++i) {{
         if (i % 8 == 0) {{
-            T gx = one, gy = one, gz = one, hx = one, hy = one, hz = one;
+            T gx = one, gy = one, gz = one, hx = one, hy = one, hz = one, times = one;
             for (int k = 0; k < 8 && i + k < near; ++k) {{
-                const auto* end = ends.data + 2 * (size_t)stack.data[near_at + i + k];
-                gx[k] = end[0].c[0]; gy[k] = end[0].c[1]; gz[k] = end[0].c[2];
-                hx[k] = end[1].c[0]; hy[k] = end[1].c[1]; hz[k] = end[1].c[2];
+                const int number = stack.data[near_at + i + k];
+                const float* row = rows.data + {ROW} * (size_t)(first + number / 8) + number % 8;
+                gx[k] = row[{BEGIN}]; gy[k] = row[{BEGIN + 8}]; gz[k] = row[{BEGIN + 16}];
+                hx[k] = row[{END}]; hy[k] = row[{END + 8}]; hz[k] = row[{END + 16}];
+                times[k] = row[{TIMES}];
             }}
+            ready[TWICE] = times;
             const T ax = gx - c.c[0], ay = gy - c.c[1], az = gz - c.c[2];
             const T bx = hx - c.c[0], by = hy - c.c[1], bz = hz - c.c[2];
             const T la = root(ax * ax + ay * ay + az * az), lb = root(bx * bx + by * by + bz * bz), size = la * lb;
@@ -62,6 +66,7 @@ ROOM = EIGHT * MOST // 8
         const float nx = ready[NX][e], ny = ready[NY][e], nz = ready[NZ][e];
         const float mx = ready[MX][e], my = ready[MY][e], mz = ready[MZ][e];
         const float off_q = ready[OFF_Q][e], off_2 = ready[OFF_2][e];
+        const bool twice = ready[TWICE][e] > 1.0f;
         const float off_1 = {FIRST}f * la + {SNAP}f, off_s = {SNAP}f * la, off_k = {SNAP}f * la * lb + off_q;
         for (int g = 0; g < groups; ++g) {{
             const T px = load({EIGHT} * g + {X}), py = load({EIGHT} * g + {Y}), pz = load({EIGHT} * g + {Z});
@@ -79,26 +84,33 @@ ROOM = EIGHT * MOST // 8
             const T off = {SECOND}f * (e1 * m2 + e2 * m1) * inverse + {8.0 * UNIT}f;
             const M known = (m1 > 10.0f * e1) & (m2 > 10.0f * e2) & (product > all(1.0e-30f))
                 & ((u > none) | (size_of(w) > 2.0f * off));
-            error[g] = error[g] + where(known, off, unknown);
+            error[g] = error[g] + where(known, twice ? off + off : off, unknown);
             const T kept = where(known, u, one), turned = where(known, w, none);
-            T new_re = re[g] * kept - im[g] * turned, new_im = re[g] * turned + im[g] * kept;
-            const M below = im[g] < none, below_now = new_im < none;
-            turns[g] = turns[g] + where(~below & (turned > none) & below_now, one, none);
-            turns[g] = turns[g] - where(below & (turned < none) & ~below_now, one, none);
-            if (i % 32 == 31) {{
-                const M large = size_of(new_re) + size_of(new_im) > all({LARGEST_PRODUCT}f);
-                const T shrink = where(large, all({SHRINK}f), one);
-                new_re = new_re * shrink;
-                new_im = new_im * shrink;
+            T x_now = re[g], y_now = im[g], turns_now = turns[g];
+            for (int time = 0; time < 1 + twice; ++time) {{
+                const T new_re = x_now * kept - y_now * turned, new_im = x_now * turned + y_now * kept;
+                const M below = y_now < none, below_now = new_im < none;
+                turns_now = turns_now + where(~below & (turned > none) & below_now, one, none);
+                turns_now = turns_now - where(below & (turned < none) & ~below_now, one, none);
+                x_now = new_re;
+                y_now = new_im;
             }}
-            re[g] = new_re;
-            im[g] = new_im;
+            turns[g] = turns_now;
+            if (i % 16 == 15) {{
+                const M large = size_of(x_now) + size_of(y_now) > all({LARGEST_PRODUCT}f);
+                const T shrink = where(large, all({SHRINK}f), one);
+                x_now = x_now * shrink;
+                y_now = y_now * shrink;
+            }}
+            re[g] = x_now;
+            im[g] = y_now;
         }}
     }}
     for (int i = 0; i < across; ++i) {{
-        const auto* end = ends.data + 2 * (size_t)stack.data[across_at + i];
-        const float ax = end[0].c[0] - c.c[0], ay = end[0].c[1] - c.c[1], az = end[0].c[2] - c.c[2];
-        const float bx = end[1].c[0] - c.c[0], by = end[1].c[1] - c.c[1], bz = end[1].c[2] - c.c[2];
+        const int number = stack.data[across_at + i];
+        const float* row = rows.data + {ROW} * (size_t)(first + number / 8) + number % 8;
+        const float ax = row[{BEGIN}] - c.c[0], ay = row[{BEGIN + 8}] - c.c[1], az = row[{BEGIN + 16}] - c.c[2];
+        const float bx = row[{END}] - c.c[0], by = row[{END + 8}] - c.c[1], bz = row[{END + 16}] - c.c[2];
         const float la = sqrtf(ax * ax + ay * ay + az * az), lb = sqrtf(bx * bx + by * by + bz * bz);
         const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
         const float sign = nx < 0.0f ? -1.0f : 1.0f, n = sign * nx;
@@ -114,7 +126,7 @@ ROOM = EIGHT * MOST // 8
             const T uq = -sign * (x * nx + y * ny + z * nz);
             const T low = least(least(ua - off_a, ub - off_b), least(over_it - off_it, uq - off_q));
             const T high = least(least(ua + off_a, ub + off_b), least(over_it + off_it, uq + off_q));
-            crossed[g] = crossed[g] + where(low > none, all(sign), none);
+            crossed[g] = crossed[g] + where(low > none, all(sign * row[{TIMES}]), none);
             error[g] = error[g] + where((high > none) & (low <= none), unknown, none);
             if (flat) {{
                 // Where c may be in the strip's plane itself, it may be met from either side.
@@ -135,7 +147,8 @@ ROOM = EIGHT * MOST // 8
 """
 )
 def strips_of_box(
-    ends: wp.array(dtype=wp.vec3),
+    rows: wp.array(dtype=wp.float32),
+    first: int,
     stack: wp.array(dtype=wp.int32),
     near_at: int,
     near: int,
@@ -151,7 +164,8 @@ def strips_of_box(
     with what lies across the way from c to each; and their largest errors.
 
     Args:
-        ends: Of edges, scaled.
+        rows: Packed edges.
+        first: The first row of the mesh.
         stack: With the lists of `look_at_eights`.
         near_at: Where edges are listed that are near.
         near: How many.

@@ -22,6 +22,7 @@ from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field, share_at
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen, place_in_box
+from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.near_nodes import (
     CUBES,
     DRIFT,
@@ -42,6 +43,7 @@ from sdm.kernels.winding.near_caps import FULL, WIDER
 from sdm.kernels.winding.open_caps import (
     BITS,
     COUNTS,
+    EXACT,
     LISTED,
     LISTED_LEVEL,
     LOOKED,
@@ -52,13 +54,14 @@ from sdm.kernels.winding.open_caps import (
     STRIDE,
     TOLERANCES,
     _open_boxes,
-    _open_exactly,
     count_bits,
     first_level,
     is_one,
     octants_to_open,
+    voxel_of_piece,
 )
 from sdm.kernels.winding.open_caps import LENGTH as OF_LISTED
+from sdm.kernels.winding.rims.doubtful_voxels import place_of_voxel, without_caps
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
@@ -278,10 +281,36 @@ def open_box(
     return undone
 
 
+@wp.kernel
+def _open_exactly_by_eights(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    slab: Slab,
+    cells: wp.vec3i,
+    level: int,
+    pieces: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open what is still left of boxes of 2^3 in float64."""
+    item = fetch_add_once(counts, STRIDE * level + NEXT, 1, 0)
+    while item < 8 * counts[STRIDE * LISTED_LEVEL + OF_LISTED]:
+        mesh, v = voxel_of_piece(pieces[item / 8], item, cells)
+        if is_left(slab, values, mesh, v):
+            p = place_of_voxel(tree, slab, mesh, v)
+            crossings = without_caps(tree, caps, mesh, p, values[mesh, v[0], v[1], v[2]])
+            values[mesh, v[0], v[1], v[2]] = crossings + float(exact_share(boundary, tree, mesh, p))
+            fetch_add(counts, EXACT, 1)
+        item = fetch_add_once(counts, STRIDE * level + NEXT, 1, 0)
+
+
 # The largest boxes that are looked at so, in bits. Where tolerances are small, nodes added to voxels would be many.
 LARGEST = 2
-MODES = MIXED, TO_VOXELS, TO_VOXELS, MIXED
-SMALL_TOLERANCES = 2e-4, 3e-5, 2e-6, 3e-7
+MODES = MIXED, TO_VOXELS, TO_VOXELS
+SMALL_TOLERANCES = 1.5e-4, 2e-5, 3e-6
+LAST = BITS.index(0)
 
 
 def open_caps_by_eights(
@@ -300,7 +329,7 @@ def open_caps_by_eights(
     boxes = octants = left = left_octants = empty(1, wp.int32)
     cells = parents = wp.vec3i()
     first = first_level(meshes, shape, MOST_FIRST["cpu"])
-    for level in range(first, len(BITS)):
+    for level in range(first, LAST + 1):
         bits = BITS[level]
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         if bits > 0:
@@ -313,7 +342,7 @@ def open_caps_by_eights(
             launch(_open_boxes, workers, inputs, device, smallest=1)
             continue
         listed = [left, left_octants] if bits == 0 else [boxes, octants]
-        back = level - len(BITS)
+        back = level - LAST - 1
         inputs = [
             caps,
             rows,
@@ -328,6 +357,6 @@ def open_caps_by_eights(
             *listed,
         ]
         launch(open_boxes_by_eights, workers, [*inputs, left, left_octants, counts, stacks, values], device, smallest=1)
-    inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, 1, values]
-    launch(_open_exactly, workers, inputs, device, smallest=1)
+    inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, values]
+    launch(_open_exactly_by_eights, workers, inputs, device, smallest=1)
     return counts

@@ -17,11 +17,12 @@ from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
-from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
+from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_field import doubt, most_change, share_at
 from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.eights.box_strips import EIGHT, ERROR, SHARE, X, Y, Z, strips_of_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
+from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.open_caps import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
@@ -41,6 +42,7 @@ def _open_boxes_by_eights(
     tree: Tree,
     boundary: Boundary,
     rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
     blocks: int,
     slab: Slab,
     bits: int,
@@ -75,7 +77,7 @@ def _open_boxes_by_eights(
         half = WIDER * box.half
         radius = wp.length(half)
         look = look_at_eights(
-            rows, mesh * blocks, mesh * boundary.count, edges_of(boundary), c, radius, half, tolerance,
+            rows, mesh * blocks, packed[mesh], c, radius, half, tolerance,
             stack, 0, _ROOM, _ROOM, across_room,
         )  # fmt: skip
         field = field_of(look, 1)
@@ -98,7 +100,9 @@ def _open_boxes_by_eights(
                     places[to + X] = p[0]
                     places[to + Y] = p[1]
                     places[to + Z] = p[2]
-                strips_of_box(boundary.ends, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels >> 3)
+                strips_of_box(
+                    rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels >> 3
+                )
             for number in range(voxels):
                 inner = place_in_box(number, bits)
                 v = start + inner
@@ -130,6 +134,7 @@ def _open_voxels_by_eights(
     tree: Tree,
     boundary: Boundary,
     rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
     blocks: int,
     slab: Slab,
     bits: int,
@@ -160,12 +165,11 @@ def _open_voxels_by_eights(
             if is_left(slab, values, mesh, v):
                 p = place_of_voxel(tree, slab, mesh, v)
                 crossings = values[mesh, v[0], v[1], v[2]]
-                found = sum_of_eights(rows, mesh * blocks, edges_of(boundary), wp.vec3(p))
+                found = sum_of_eights(rows, mesh * blocks, packed[mesh], wp.vec3(p))
                 if is_sure(crossings + found[0], crossings, found[1]):
                     values[mesh, v[0], v[1], v[2]] = opened(crossings + found[0])
                 else:
-                    exact_share = boundary_part(boundary, tree, mesh, p, 0, 1)
-                    values[mesh, v[0], v[1], v[2]] = crossings + float(exact_share)
+                    values[mesh, v[0], v[1], v[2]] = crossings + float(exact_share(boundary, tree, mesh, p))
                     fetch_add(counts, exact, 1)
                 fetch_add(counts, looked, 1)
         item = fetch_add_once(counts, next_item, 1, 0)
@@ -182,7 +186,8 @@ def open_edges_by_eights(
     counts.zero_()
     blocks = -(-boundary.count // 8)
     rows = empty(meshes * blocks * ROW, wp.float32)
-    launch(pack_edges, meshes * blocks, [boundary, boundary.count, blocks, rows], device)
+    packed = empty(meshes, wp.int32)
+    launch(pack_edges, meshes, [boundary, blocks, rows, packed], device, smallest=1)
     stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32)
     places = empty(workers * PLACES, wp.float32)
     bits, tolerance = BOX_BITS["cpu"], TOLERANCES["cpu"]
@@ -190,10 +195,10 @@ def open_edges_by_eights(
     at, after = STRIDE * level, STRIDE * (level + 1)
     cells = wp.vec3i(*(-(-n >> bits) for n in shape))
     left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
-    inputs = [tree, boundary, rows, blocks, slab, bits, tolerance, cells, left, left_octants]
+    inputs = [tree, boundary, rows, packed, blocks, slab, bits, tolerance, cells, left, left_octants]
     inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, places, values]
     launch(_open_boxes_by_eights, workers, inputs, device, smallest=1)
-    inputs = [tree, boundary, rows, blocks, slab, bits, cells, left, left_octants]
+    inputs = [tree, boundary, rows, packed, blocks, slab, bits, cells, left, left_octants]
     inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, values]
     launch(_open_voxels_by_eights, workers, inputs, device, smallest=1)
     return counts

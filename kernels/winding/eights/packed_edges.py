@@ -9,6 +9,7 @@ products:
 - Of 1/|a|, 1/|b| and 1/k one quotient is taken, of all three together; for 1/(1 - rho) there is 1 + rho + 2 rho^2,
   which is no less up to a half.
 - a x b is a x (b - a), and wrong by 6 |a| l.
+- An edge that is met twice is one whose strip counts twice.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.primitives.wide_numbers import NUMBERS
-from sdm.kernels.winding.boundary_term import Boundary
+from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.near_caps import UNIT
 from sdm.kernels.winding.rims.float32_sum import (
     ACROSS,
@@ -50,44 +51,71 @@ from sdm.kernels.winding.rims.radial_strips import (
 
 wp.set_module_options({"enable_backward": False})
 
-# Numbers of eight edges: both ends, their distance, and one over that, zero if it is too small.
-ROW = 64
+# Numbers of eight edges: both ends, their distance, one over that, zero if it is too small, and how often they are met:
+# once or twice, as the edges are between faces that are turned to either side.
+BEGIN, END, LENGTH, PER_LENGTH, TIMES, ROW = 0, 24, 48, 56, 64, 72
 SHORTEST = 1.0e-15
 
 
 @wp.kernel
-def pack_edges(begin: int, boundary: Boundary, count: int, blocks: int, rows: wp.array(dtype=wp.float32)):
-    """Write `blocks` rows of eight edges for each mesh, of so many; behind the last one, edges without a length."""
-    i = begin + wp.tid()
-    mesh = i / blocks
-    first = 8 * (i - mesh * blocks)
-    for k in range(8):
-        e = 2 * (mesh * boundary.count + wp.min(first + k, count - 1))
-        a = boundary.ends[e]
-        b = boundary.ends[e + 1]
-        at = ROW * i + k
-        for axis in range(3):
-            rows[at + 8 * axis] = a[axis]
-            rows[at + 24 + 8 * axis] = b[axis]
-        length = wp.length(b - a)
-        rows[at + 48] = length
-        inverse = float(0.0)
-        if length > SHORTEST:
-            inverse = 1.0 / length
-        rows[at + 56] = inverse
+def pack_edges(
+    begin: int, boundary: Boundary, blocks: int, rows: wp.array(dtype=wp.float32), packed: wp.array(dtype=wp.int32)
+):
+    """Write up to `blocks` rows of eight edges for each mesh, and how many edges are packed there. Two that are alike
+    and next to each other are one that is met twice.
+    """
+    mesh = begin + wp.tid()
+    length = int(0)
+    before_a = wp.vec3()
+    before_b = wp.vec3()
+    times = float(2.0)
+    for e in range(edges_of(boundary)):
+        end = 2 * (mesh * boundary.count + e)
+        a = boundary.ends[end]
+        b = boundary.ends[end + 1]
+        if times == 1.0 and a == before_a and b == before_b:
+            times = float(2.0)
+            number = mesh * blocks * 8 + length - 1
+            rows[ROW * (number / 8) + number % 8 + TIMES] = times
+        else:
+            times = float(1.0)
+            number = mesh * blocks * 8 + length
+            at = ROW * (number / 8) + number % 8
+            for axis in range(3):
+                rows[at + BEGIN + 8 * axis] = a[axis]
+                rows[at + END + 8 * axis] = b[axis]
+            long = wp.length(b - a)
+            inverse = float(0.0)
+            if long > SHORTEST:
+                inverse = 1.0 / long
+            rows[at + LENGTH] = long
+            rows[at + PER_LENGTH] = inverse
+            rows[at + TIMES] = times
+            length = length + 1
+        before_a = a
+        before_b = b
+    packed[mesh] = length
+    # No row is written in part.
+    while length % 8 != 0:
+        number = mesh * blocks * 8 + length
+        at = ROW * (number / 8) + number % 8
+        for k in range(ROW / 8):
+            rows[at + 8 * k] = 1.0
+        length = length + 1
 
 
 # Eight edges as they are seen from a place `c`, and which of them are there.
-_EIGHT_EDGES = """
-        T ga[3], gb[3], length, per_length;
-        const float* row = rows.data + 64 * (size_t)(first + i);
-        for (int k = 0; k < 3; ++k) {
-            __builtin_memcpy(&ga[k], row + 8 * k, 32);
-            __builtin_memcpy(&gb[k], row + 24 + 8 * k, 32);
-        }
-        __builtin_memcpy(&length, row + 48, 32);
-        __builtin_memcpy(&per_length, row + 56, 32);
-        const M there = numbers < M{} + (count - 8 * i);
+_EIGHT_EDGES = f"""
+        T ga[3], gb[3], length, per_length, times;
+        const float* row = rows.data + {ROW} * (size_t)(first + i);
+        for (int k = 0; k < 3; ++k) {{
+            __builtin_memcpy(&ga[k], row + {BEGIN} + 8 * k, 32);
+            __builtin_memcpy(&gb[k], row + {END} + 8 * k, 32);
+        }}
+        __builtin_memcpy(&length, row + {LENGTH}, 32);
+        __builtin_memcpy(&per_length, row + {PER_LENGTH}, 32);
+        __builtin_memcpy(&times, row + {TIMES}, 32);
+        const M there = numbers < M{{}} + (count - 8 * i), twice = there & (times > one);
         const T ax = ga[0] - c.c[0], ay = ga[1] - c.c[1], az = ga[2] - c.c[2];
         const T bx = gb[0] - c.c[0], by = gb[1] - c.c[1], bz = gb[2] - c.c[2];
         const T ex = gb[0] - ga[0], ey = gb[1] - ga[1], ez = gb[2] - ga[2];
@@ -109,15 +137,19 @@ _TURN = f"""
             const M known = (most > 10.0f * (dx + dy)) & (most < all({LARGEST}f)) & ((x > none) | (sy > dy));
             const T inverse = one / most, part = sy * inverse;
             const T off = {SECOND}f * inverse * (part * dx + dy) + ({TURNED_MORE}f * part + {TURNED}f);
-            error = error + where(there, where(known, off, unknown), none);
+            error = error + where(there, where(known, times * off, unknown), none);
             const T u = where(known & there & (x < sy), x * inverse, one), v = where(known & there, y * inverse, none);
-            const T new_re = re * u - im * v, new_im = re * v + im * u;
-            const M below = im < none, below_now = new_im < none;
-            turns = turns + where(~below & (v > none) & below_now, one, none);
-            turns = turns - where(below & (v < none) & ~below_now, one, none);
-            re = new_re;
-            im = new_im;
-            if (i % 32 == 31) {{
+            auto turn = [&](T u, T v) {{
+                const T new_re = re * u - im * v, new_im = re * v + im * u;
+                const M below = im < none, below_now = new_im < none;
+                turns = turns + where(~below & (v > none) & below_now, one, none);
+                turns = turns - where(below & (v < none) & ~below_now, one, none);
+                re = new_re;
+                im = new_im;
+            }};
+            turn(u, v);
+            if (any(twice)) turn(where(twice, u, one), where(twice, v, none));
+            if (i % 16 == 15) {{
                 const T shrink = where(size_of(re) + size_of(im) > all({LARGEST_PRODUCT}f), all({SHRINK}f), one);
                 re = re * shrink;
                 im = im * shrink;
@@ -157,7 +189,7 @@ _BEGIN = """
             & (bound <= all(tolerance));
         if (any(far)) {{
             const T fla = where(far, la, one), flb = where(far, lb, one), fk = where(far, k, one);
-            const T fx = where(far, nx, none), fy = where(far, ny, none), fz = where(far, nz, none);
+            const T part = where(far, times, none), fx = part * nx, fy = part * ny, fz = part * nz;
             const T pair = fla * flb, per = one / (pair * fk);
             const T ia = per * flb * fk, ib = per * fla * fk, ik = per * pair;
             const T w = ia + ib, s1 = w * ik, sum = fla + flb;
@@ -196,8 +228,8 @@ _BEGIN = """
             cubes[4] = cubes[4] + (mx * yz2 + my * xz + mz * xy);
             cubes[5] = cubes[5] + my * yy;
             cubes[6] = cubes[6] + (mz * yy + my * yz2);
-            drift = drift + where(far, change * flat, none);
-            bounds = bounds + where(far, {1.0002}f * bound + {UNIT}f * off, none);
+            drift = drift + where(far, part * change * flat, none);
+            bounds = bounds + where(far, part * ({1.0002}f * bound + {UNIT}f * off), none);
             steps = steps + where(far, one, none);
         }}
         // Strips along -x across the box: a line and a rectangle, seen along x.
@@ -209,7 +241,7 @@ _BEGIN = """
         const M near_here = there & ~far;
         if (any(near_here | met)) {{
             for (int j = 0; j < 8; ++j) {{
-                const int e = first_edge + 8 * i + j;
+                const int e = 8 * i + j;
                 if (near_here[j]) {{ if (near < room) stack.data[near_at + near] = e; ++near; }}
                 if (met[j]) {{ if (across < room_across) stack.data[across_at + across] = e; ++across; }}
             }}
@@ -237,7 +269,6 @@ _BEGIN = """
 def look_at_eights(
     rows: wp.array(dtype=wp.float32),
     first: int,
-    first_edge: int,
     count: int,
     c: wp.vec3,
     radius: float,
@@ -249,8 +280,8 @@ def look_at_eights(
     across_at: int,
     room_across: int,
 ) -> Look:
-    """`look_at_edges` of `rims.radial_strips` by packed edges, whose first row and number of edges are given, and the
-    number by which the first edge is listed.
+    """`look_at_edges` of `rims.radial_strips` by packed edges, whose first row and number are given; they are listed by
+    their numbers there.
     """
     ...
 

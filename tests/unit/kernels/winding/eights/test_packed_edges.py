@@ -8,16 +8,18 @@ import pytest
 import torch
 import warp as wp
 
-from sdm.bench.common.dirty_meshes.by_code import boxes, half_spheres, loose, sheets, torn
+from sdm.bench.common.dirty_meshes.by_code import boxes, half_spheres, loose, sheets, torn, turned
 from sdm.bench.common.meshes import torus
 from sdm.engine.acceleration import build
 from sdm.kernels.bvh.tree import SCALE, Tree
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
 from sdm.kernels.winding.cap_field import doubt, share_at
+from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, X, Y, Z, strips_of_box
+from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.rims.edge_boxes import field_of
-from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR, Eight, strips_at
+from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 
 POINTS = 8
 ROOM = 2000
@@ -28,6 +30,8 @@ def _look(
     tree: Tree,
     boundary: Boundary,
     rows: wp.array(dtype=wp.float32),
+    count: int,
+    numbers: wp.array(dtype=wp.float32),
     places: wp.array(dtype=wp.vec4),
     ways: wp.array2d(dtype=wp.vec3),
     tolerance: float,
@@ -39,16 +43,21 @@ def _look(
     c = wp.vec3(places[i][0], places[i][1], places[i][2])
     radius = places[i][3]
     half = wp.vec3(radius, radius, radius)
-    look = look_at_eights(rows, 0, 0, boundary.count, c, radius, half, tolerance, stack, 0, ROOM, ROOM, ROOM)
+    look = look_at_eights(rows, 0, count, c, radius, half, tolerance, stack, 0, ROOM, ROOM, ROOM)
     field = field_of(look, 1)
     near, across = int(look[NEAR]), int(look[ACROSS_BOX])
-    for k in range(ways.shape[1]):
+    at = PLACES * i
+    for k in range(8):
         p = c + radius * ways[i, k]
+        for axis in range(3):
+            numbers[at + 8 * axis + k] = p[axis]
+    strips_of_box(rows, 0, stack, 0, near, ROOM, across, c, radius, numbers, at, 1)
+    for k in range(8):
+        p = wp.vec3(numbers[at + X + k], numbers[at + Y + k], numbers[at + Z + k])
         exact = boundary_winding(boundary, tree, 0, wp.vec3d(p))
-        some = strips_at(boundary.ends, stack, 0, near, ROOM, across, c, radius, Eight(p[0]), Eight(p[1]), Eight(p[2]))
-        found[i, 2 * k, 0] = wp.abs(wp.float64(share_at(field, p - c) + some[0]) - exact)
-        found[i, 2 * k, 1] = wp.float64(doubt(field) + some[8])
-        whole = sum_of_eights(rows, 0, boundary.count, p)
+        found[i, 2 * k, 0] = wp.abs(wp.float64(share_at(field, p - c) + numbers[at + SHARE + k]) - exact)
+        found[i, 2 * k, 1] = wp.float64(doubt(field) + numbers[at + ERROR + k])
+        whole = sum_of_eights(rows, 0, count, p)
         found[i, 2 * k + 1, 0] = wp.abs(wp.float64(whole[0]) - exact)
         found[i, 2 * k + 1, 1] = wp.float64(whole[1])
 
@@ -56,8 +65,8 @@ def _look(
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3, 1e-5])
 @pytest.mark.parametrize(
     "mesh",
-    [torn(torus(2000), 0.1), half_spheres(6), sheets(12), boxes(12), loose(torus(300), 0.01)],
-    ids=["torn", "half spheres", "sheets", "boxes", "loose"],
+    [torn(torus(2000), 0.1), half_spheres(6), sheets(12), boxes(12), loose(torus(300), 0.01), turned(torus(300), 0.5)],
+    ids=["torn", "half spheres", "sheets", "boxes", "loose", "turned"],
 )
 def test_shares_are_right_within_their_errors(mesh, tolerance):
     vertices, faces = mesh
@@ -78,11 +87,15 @@ def test_shares_are_right_within_their_errors(mesh, tolerance):
     ways *= rng.uniform(0, 1, (count, POINTS, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
     ways[:20, 0] = 0
     blocks = -(-boundary.count // 8)
-    rows = wp.zeros(ROW * blocks, dtype=wp.float32)
-    wp.launch(pack_edges, blocks, inputs=[0, boundary, boundary.count, blocks, rows], device="cpu")
+    rows, packed = wp.zeros(ROW * blocks, dtype=wp.float32), wp.zeros(1, dtype=int)
+    wp.launch(pack_edges, 1, inputs=[0, boundary, blocks, rows, packed], device="cpu")
+    length = int(packed.numpy()[0])
+    assert length == len(np.unique(ends.reshape(-1, 6), axis=0))
     found = wp.zeros((count, 2 * POINTS, 2), dtype=wp.float64)
     given = [
         rows,
+        length,
+        wp.zeros(count * PLACES, dtype=wp.float32),
         wp.array(np.hstack([centres, radius]).astype(np.float32), dtype=wp.vec4),
         wp.array(ways.astype(np.float32), dtype=wp.vec3),
         tolerance,
