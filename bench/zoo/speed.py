@@ -133,7 +133,7 @@ def warm_up(device: str, resolutions: Sequence[int]) -> None:
     """Compile and load what maps need: of closed and of torn meshes, sheets and turned faces, small and large."""
     cases = [load_case(f"torus-{size}") for size in WARM]
     plain = [(case.vertices, case.faces) for case in cases]
-    dirty = [torn(mesh, share) for mesh in plain for share in (FEW_EDGES / 3 / len(mesh[1]), 0.01, 0.2)]
+    dirty = [torn(mesh, share) for mesh in plain for share in (FEW_EDGES / 3 / len(mesh[1]), 0.01, 0.2, 0.5)]
     dirty += [half_spheres(20), sheets(60), *(turned(mesh, 0.5) for mesh in plain[:2])]
     cases += [Case("warm", vertices, faces, frozenset()) for vertices, faces in dirty]
     for case in cases if device.startswith("cuda") else cases[:2]:

@@ -30,8 +30,8 @@ wp.set_module_options({"enable_backward": False})
 WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
 ALL_UNMATCHED, ALL_EDGES, NUMBERS = 4, 5, 6
 _NONE = 0x7FFFFFFF
-# Threads that number the loops, a block; and numbers that each loads at once.
-BLOCK, AT_ONCE = 128, 4
+# Threads that number the loops, a block, of up to so many edges and of more; and numbers that each loads at once.
+BLOCK, FEW_LOOPED, LARGE_BLOCK, AT_ONCE = 128, 2048, 512, 4
 Numbers = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
 # Edges that begin at one vertex, at most: each is looked for after the one before.
 MOST_MEETING = 32
@@ -341,6 +341,6 @@ def join_edges(
     launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
     launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, int(in_room), flags], device)
-    block = BLOCK if device.is_cuda else 1
-    launch(_number_loops, block, [block, flags, ahead, onward, around, left], device)
+    block = (BLOCK if count <= FEW_LOOPED else LARGE_BLOCK) if device.is_cuda else 1
+    launch(_number_loops, block, [block, flags, ahead, onward, around, left], device, block_dim=block)
     launch(_write_caps, count * lanes, [lanes, edges, flags, around, left, firsts, caps], device)

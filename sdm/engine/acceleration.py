@@ -20,7 +20,7 @@ from sdm.kernels.culling import normal_cones, voronoi_features
 from sdm.kernels.launch import set_array
 from sdm.kernels.winding import cap_tree, dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
-from sdm.runtime.graphs.branches import FRAMES, MOMENTS, Join, kernels_beside, nothing
+from sdm.runtime.graphs.branches import FRAMES, MOMENTS, Join, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, repeated_row, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges
 from sdm.topology.cap_triangles import cap_triangles, turned_faces
@@ -263,13 +263,14 @@ def fill_surface(
     tree_alone: bool = False,
     gathered: Join | None = None,
     unjoined: list[Join] | None = None,
+    features_later: bool = False,
     fillers: bool = False,
     is_reset: bool = False,
 ) -> None:
     """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
 
     To `unjoined` is added what has to be called before cones are read, and before features are, if that is to be later;
-    then only the branches that make them wait for the neighbours.
+    then only the branches that make them wait for the neighbours. With `features_later` these are queued then.
     """
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
@@ -285,9 +286,14 @@ def fill_surface(
             triangle_frames.make_frames(view.tree, view.frames)
         with kernels_beside(vertices, after=join) as join_cones:
             normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-        with kernels_beside(vertices, FRAMES, join) as join_features:
-            voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
-        joins.extend((join_frames, join_cones, join_features))
+        features = view.tree, corners, normals, triples, shared, view.features
+        joins.extend((join_frames, join_cones))
+        if not features_later:
+            with kernels_beside(vertices, FRAMES, join) as join_features:
+                voronoi_features.make_features(*features)
+            joins.append(join_features)
+        else:
+            joins.append(partial(_make_features, features, vertices, join, fork(vertices.device), (empty, faces)))
         if gathered is not None:
             gathered()
 
@@ -305,6 +311,13 @@ def fill_surface(
     else:
         # Branches read normals, whose memory is kept until then.
         unjoined += [*others, lambda _kept=empty: None]
+
+
+def _make_features(features: Any, vertices: Tensor, join: Join | None, since: Join, _kept: object) -> None:
+    """Queue the kernel of features beside what follows `since`, and wait for it."""
+    with kernels_beside(vertices, FRAMES, join, since) as made:
+        voronoi_features.make_features(*features)
+    made()
 
 
 def fill_boundary(

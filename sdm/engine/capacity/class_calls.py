@@ -27,7 +27,7 @@ from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import TableCall, Verify
-from sdm.runtime.graphs.branches import WINDING, Join, beside, kernels_beside, nothing
+from sdm.runtime.graphs.branches import WINDING, Join, beside, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
@@ -165,11 +165,11 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
     mesh = _take_in(kind, device, table, zeros)
     with beside(device) as join:
         found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
-    with beside(device, TELLING, join) as told:
+    _queue_map(kind, mesh, neighbours, join, ambiguous, None)
+    with beside(device, TELLING, since=join) as told:
         verify(torch.cat([wrong, found]))
         none = found[:0]
         _tell(mesh, neighbours, none, none)
-    _queue_map(kind, mesh, neighbours, join, ambiguous, None)
     told()
 
 
@@ -179,12 +179,16 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
     mesh = _take_in(kind, device, table, boundary.memory)
     with beside(device) as join:
         found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
-    with beside(device, TELLING, join) as joined:
-        boundary.queue_joining(unmatched, found, mesh.vertices)
-    with beside(device, TELLING) as told:
+
+    def begin_joining() -> Join:
+        with beside(device, TELLING, since=join) as joined:
+            boundary.queue_joining(unmatched, found, mesh.vertices)
+        return joined
+
+    joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining)
+    with beside(device, TELLING, since=joined) as told:
         verify(boundary.numbers, TOLD)
         _tell(mesh, neighbours, unmatched[:room], boundary.memory)
-    _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, joined)
     told()
     with on_current_stream(mesh.addresses):
         tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
@@ -204,9 +208,12 @@ def _queue_map(
     join: Join,
     ambiguous: Tensor,
     boundary: OpenBoundary | None,
-    joined: Join | None = None,
-) -> None:
-    """The map of a mesh, to the address in the table: its neighbours are there after `join`, its boundary `joined`."""
+    begin_joining: Callable[[], Join] = lambda: nothing,
+) -> Join:
+    """The map of a mesh, to the address in the table: its neighbours are there after `join`.
+
+    Gives what `begin_joining` gave, after which its boundary is there. What everything waits for is queued first.
+    """
     vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
     sizes = kind.sizes if boundary is None else kind.open_sizes(boundary.room)
@@ -214,32 +221,53 @@ def _queue_map(
     # Of winding numbers: the distances go elsewhere.
     values = torch.empty((1, *kind.shape), dtype=torch.float32, device=device)
     address = as_warp(mesh.addresses[VALUES_AT : VALUES_AT + 1], wp.int64)
+    joins: list[Join] = []
+    few = boundary is None or boundary.room <= kind.few_edges(device.type)
     with on_current_stream(vertices, vertices, mesh.faces, mesh.rows, neighbours):
         tree = coarser(structure.view.tree, 0)
         set_array(tree, "parts", as_warp(mesh.parts, wp.int32))
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
         box: Any = as_warp(mesh.bounds, wp.float32)
-        # What the first stages need comes before the neighbours are waited for.
         unjoined: list[Join] = []
-        fill_surface(
-            view, vertices[None], mesh.faces, neighbours, box, join, unjoined=unjoined, fillers=True, is_reset=True
-        )
+        options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_reset": True}
+        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
+        built = fork(device)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
             winding = boundary.winding(view)
 
         def before_boundary() -> Join:
-            if boundary is None or joined is None:
+            if boundary is None:
                 return nothing
-            joined()
-            few = boundary.room <= kind.few_edges(device.type)
+            joins[0]()
             return boundary.queue_winding(winding, view.tree, vertices, box, empty, few)
 
-        with kernels_beside(values, WINDING) as join_winding:
-            slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns, before_boundary)
+        def wind() -> None:
+            joins.append(begin_joining())
+            with kernels_beside(values, WINDING, since=built) as wound:
+                slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns, before_boundary)
+            joins.append(wound)
+
+        def before_regions() -> None:
+            # Of an open mesh all that follows may have to wait for its winding numbers.
+            if not few:
+                wind()
+            unjoined[0]()
+
+        def before_blocks() -> None:
+            if few:
+                wind()
+            unjoined[1]()
+
         surface = Surface(tree, view.frames, view.features, view.cones)
         out = output_of(target, empty)
-        beside, pending = partial(kernels_beside, values, WINDING), Pending(cones=unjoined[0], features=unjoined[1])
-        run_stages(surface, slab, out, kind.plan, empty, beside, join_winding, pending=pending)
+        pending = Pending(cones=before_regions, features=before_blocks)
+
+        def join_winding() -> None:
+            joins[1]()
+
+        beside_winding = partial(kernels_beside, values, WINDING)
+        run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, pending=pending)
+    return joins[0]

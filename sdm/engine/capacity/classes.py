@@ -8,6 +8,7 @@ and of its plan the shares of lists and the levels that these leave out.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -29,6 +30,8 @@ from sdm.kernels.winding.rims.every_voxel import MOST_SUMS
 SMALL, LARGEST = (1620, 4863, 20480, 81920), 1 << 20
 # Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
+# And of meshes that have more, for which it would cost others some sorts of as many.
+MANY_EDGES = 8 * MOST_BOUNDARY_EDGES - 1
 # Least room for boundary edges that is worth recordings of their own for meshes with few.
 LEAST_FEW = 32
 # Larger classes that may serve a mesh until its own is worth a recording.
@@ -70,8 +73,12 @@ class CapacityClass:
 
         Neither caps nor boxes are needed then. 0: the grid is so large that hardly any mesh has so few.
         """
-        room = min(MOST_SUMS[device] / math.prod(self.shape), MOST_EDGES)
-        return int(room) if room >= LEAST_FEW else 0
+        return _few_edges(self.shape, MOST_SUMS[device])
+
+    def rooms(self, device: str) -> tuple[int, ...]:
+        """Room for edges of the recordings for open meshes on such a device, from the least on."""
+        few = self.few_edges(device)
+        return (few, MOST_EDGES, MANY_EDGES) if few else (MOST_EDGES, MANY_EDGES)
 
     def open_sizes(self, room: int) -> PairSizes:
         """Sizes of the structure of both, with room for so many boundary edges of the mesh."""
@@ -102,6 +109,12 @@ class PairSizes(NamedTuple):
     kind: MeshKind = MeshKind.CLOSED
 
 
+@lru_cache(maxsize=64)
+def _few_edges(shape: tuple[int, int, int], most_sums: float) -> int:
+    room = min(most_sums / math.prod(shape), MOST_EDGES)
+    return int(room) if room >= LEAST_FEW else 0
+
+
 def bounds_of(faces: int) -> tuple[int, int]:
     """Least and most faces of the class of a mesh with so many."""
     least = 1
@@ -124,14 +137,19 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     if not 0 < faces <= LARGEST:
         return None
     options, turned = OPTIONS.get(), grid.direction is not IDENTITY and grid.direction != IDENTITY
-    uneven = uneven_room(grid.spacing, turned) > 1
-    least, most = bounds_of(faces)
+    x, y, z = grid.spacing
+    uneven = turned or (not x == y == z and uneven_room(grid.spacing, turned) > 1)
+    # What is asked first is little: it is asked before anything is launched.
+    most = _MOSTS[bisect_left(_MOSTS, faces)]
     room = int(SHARED * most)
     if vertices > room:
         room = int(LOOSE * most)
     key = most, room, grid.shape, turned, uneven, memory
-    if options is USUAL and key in _usual:
-        return _usual[key] if vertices <= room else None
+    if options is USUAL:
+        usual = _usual.get(key)
+        if usual is not None:
+            return usual if vertices <= room else None
+    least, most = bounds_of(faces)
     decisions = _of_all(least, most, grid.shape, memory is not None, options)
     for_all = decisions is not None
     if decisions is None:
@@ -150,6 +168,15 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     return kind, decisions
 
 
+def _mosts() -> list[int]:
+    """Most faces of each class, from the smallest on."""
+    found = [bounds_of(1)[1]]
+    while found[-1] < LARGEST:
+        found.append(bounds_of(found[-1] + 1)[1])
+    return found
+
+
+_MOSTS = _mosts()
 # Classes by the usual options, with decisions that are those about all their meshes.
 _usual: dict[tuple[Any, ...], tuple[CapacityClass, Decisions]] = {}
 MOST_KEPT = 256

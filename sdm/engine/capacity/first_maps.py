@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.class_calls import ClassMap, class_call, class_key, open_class_call
-from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass, larger_classes
+from sdm.engine.capacity.classes import MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.kernels.dense.plan import Decisions, memory_of
 from sdm.kernels.topology.boundary_loops import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
@@ -38,7 +38,7 @@ def looks_closed(faces: int, vertices: int) -> bool:
 
 def has_room(numbers: guesses.Guess) -> bool:
     """True if the recordings of a class serve meshes with as many unmatched and boundary edges."""
-    return max(numbers) <= MOST_EDGES
+    return max(numbers) <= MANY_EDGES
 
 
 def class_map(
@@ -49,11 +49,11 @@ def class_map(
     None if there is no recording for it, or if it is none that these serve. Else its topology is remembered.
     """
     # What recordings read by address.
-    count, device, given = vertices.shape[0], faces.device, (vertices.contiguous(), faces.contiguous(), grid)
-    edges = min(2 * count - faces.shape[0], MOST_EDGES)
-    few = kind.few_edges(device.type)
-    rooms = (few, MOST_EDGES) if few else (MOST_EDGES,)
-    if looks_closed(faces.shape[0], count):
+    given = vertices.contiguous(), faces.contiguous(), grid
+    count, total, device = vertices.shape[0], faces.shape[0], faces.device
+    # Until the launch no more than it takes.
+    edges = min(2 * count - total, MANY_EDGES)
+    if looks_closed(total, count):
         found, said = _attempt(class_call, kind, decisions, 0, given)
         if found is not None:
             remember_closed(faces, count, found.neighbours, graphs.last_launch(device))
@@ -61,17 +61,18 @@ def class_map(
         # Flags of `class_call`.
         if said and (said[0] or said[1]):
             return None
-        if not said and not any(graphs.is_recorded(device, class_key(kind, room)) for room in rooms):
+        if not said and not any(graphs.is_recorded(device, class_key(kind, room)) for room in kind.rooms(device.type)):
             # Neither is made for one that is not due.
             return None
         edges = said[2] if said else 0
-    for room in rooms:
-        if edges > room:
+    for room in kind.rooms(device.type):
+        # A recording for many edges is made for meshes that have them.
+        if edges > room or (edges <= MOST_EDGES < room):
             continue
         found, said = _attempt(partial(open_class_call, room=room), kind, decisions, room, given)
         if found is not None:
             return found.values, _remember(count, faces, found, room, *said[-2:])
-        edges = max([room + 1, *said[-2:]])
+        edges = max([room + 1, *said[-2:]]) if said else edges
         if said and (said[WRONG_VERTEX] or not (said[WRONG_UNMATCHED] or said[WRONG_EDGES])):
             return None
     return None

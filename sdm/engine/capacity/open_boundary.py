@@ -77,6 +77,7 @@ class OpenBoundary(NamedTuple):
         return found["edges"], found["caps"]
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def length(room: int) -> int:
         """Numbers in that memory."""
         return sum(math.prod(size) for size in _sizes(room).values())

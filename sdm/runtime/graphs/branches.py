@@ -1,5 +1,8 @@
 """Branches of a CUDA graph: work beside other work, so that a GPU that one kernel does not fill runs two.
 
+The host hands a graph to the GPU node by node, about as they were queued, and the GPU begins before it has them all. So
+what everything waits for is queued first, and branches not before they are needed: `since` says where they begin.
+
 Only while a CUDA graph is recorded: there a side stream becomes a branch of the graph, and memory stays the graph's
 until it goes. Outside of one all work stays on the current stream, where torch knows when memory is free again.
 """
@@ -32,8 +35,19 @@ def side_streams(index: int) -> tuple[torch.cuda.Stream, ...]:
     return streams
 
 
+def fork(device: torch.device) -> Join:
+    """A `Join` that waits for what was queued on the current stream until now, and no more."""
+    if not is_recording(device):
+        return nothing
+    here = torch.cuda.Event()
+    here.record(torch.cuda.current_stream(device.index))
+    return lambda: torch.cuda.current_stream(device.index).wait_event(here)
+
+
 @contextmanager
-def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> Iterator[Join]:
+def beside(
+    device: torch.device, branch: int = 0, after: Join | None = None, since: Join | None = None
+) -> Iterator[Join]:
     """Queue what is queued inside on a branch of the graph being recorded.
 
     Gives a function that makes the stream that is current when it is called wait for the branch: to be called after the
@@ -44,32 +58,37 @@ def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> 
         device: Of the graph.
         branch: Which, of BRANCHES.
         after: What of another branch comes before it.
+        since: What of the current stream comes before it, in place of all that is queued there.
     """
     if not is_recording(device):
         yield nothing
         return
     main = torch.cuda.current_stream(device.index)
     side = side_streams(main.device_index)[branch]
-    side.wait_stream(main)
+    if since is None:
+        side.wait_stream(main)
     done = torch.cuda.Event()
 
     def join() -> None:
         torch.cuda.current_stream(main.device_index).wait_event(done)
 
     with torch.cuda.stream(side):
-        if after is not None:
-            after()
+        for before in (since, after):
+            if before is not None:
+                before()
         yield join
         done.record(side)
 
 
 @contextmanager
-def kernels_beside(tensor: Tensor, branch: int = 0, after: Join | None = None) -> Iterator[Join]:
+def kernels_beside(
+    tensor: Tensor, branch: int = 0, after: Join | None = None, since: Join | None = None
+) -> Iterator[Join]:
     """`beside`, for Warp's kernels on `tensor`'s device, whose current stream is Warp's already."""
     if not is_recording(tensor.device):
         yield nothing
         return
-    with beside(tensor.device, branch, after) as join, on_current_stream(tensor):
+    with beside(tensor.device, branch, after, since) as join, on_current_stream(tensor):
         yield join
 
 

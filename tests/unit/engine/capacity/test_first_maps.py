@@ -12,7 +12,7 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
 from sdm.engine.capacity import first_maps
 from sdm.engine.capacity.class_calls import class_key
-from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
+from sdm.engine.capacity.classes import LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError
 from sdm.kernels.winding.rims import every_voxel
@@ -129,16 +129,36 @@ def test_without_a_class_for_open_meshes(went, monkeypatch):
 
 def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
     _recorded(monkeypatch, CLOSED, OPEN)
-    vertices, faces = torus(1200)
+    vertices, faces = torus(3000)
     soup = torch.from_numpy(vertices[faces].reshape(-1, 3) * np.float32(1.0))
     soup[::7] += 0.01
     loose = torch.arange(len(soup), dtype=torch.int32).reshape(-1, 3)
     kind, _ = class_of(len(loose), len(soup), GRID, None)
-    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, MOST_EDGES))
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, MANY_EDGES))
     _map((soup, loose))
     assert went == [OPEN, "settle"]
     _map((soup, loose.clone()))
     assert went == [OPEN, "settle", "settle"]
+
+
+def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, monkeypatch):
+    rooms = []
+    plain = first_maps.open_class_call
+    monkeypatch.setattr(
+        first_maps,
+        "open_class_call",
+        lambda *given, room, **more: rooms.append(room) or plain(*given, room=room, **more),
+    )
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
+    vertices, faces = (torch.from_numpy(array) for array in torus(3000))
+    torn_up = faces[::2].contiguous()
+    assert MOST_EDGES < len(boundary_edges(vertices, torn_up.clone())) <= MANY_EDGES
+    expected = sdm.MeshIndex((vertices, torn_up.clone()), "cpu", warn=False).signed_distance_map(GRID)
+    values, ambiguous = maps.mesh_map(vertices, torn_up, GRID)
+    assert torch.equal(values, expected.values)
+    assert int(ambiguous) == expected.ambiguous_voxels
+    assert rooms[-1] == MANY_EDGES
+    assert "settle" not in went
 
 
 def test_a_vertex_out_of_range_is_refused(went, monkeypatch):
