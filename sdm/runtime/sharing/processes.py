@@ -88,6 +88,9 @@ def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Beside others it has not all cores.
     torch.set_num_threads(1)
+    # Locks that libraries make have a name on the system otherwise, of which Python warns once this process is ended.
+    if "fork" in multiprocessing.get_all_start_methods():
+        multiprocessing.set_start_method("fork", force=True)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     def shards() -> Iterator[int]:

@@ -75,3 +75,52 @@ def test_processes_that_die_before_they_read_their_work_keep_nobody(tmp_path):
     )
     assert "the process on cpu died (exit code 3)" in done.stdout
     assert done.returncode == 0
+
+
+ENDED = """
+import multiprocessing
+import time
+
+from sdm.runtime.sharing.processes import run_here
+
+
+class Work:
+    def maker(self, device):
+        return multiprocessing.Lock()
+
+    def run(self, shards, lock, done, *, times=None):
+        next(iter(shards))
+        done(1)
+        time.sleep(60)
+
+
+class Enough(Exception):
+    pass
+
+
+def enough(told):
+    raise Enough
+
+
+if __name__ == "__main__":
+    try:
+        run_here(Work(), [0, 1], ["cpu", "cpu"], enough)
+    except Enough:
+        print("ended")
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks have no names there")
+def test_python_does_not_warn_of_locks_of_processes_that_are_ended(tmp_path):
+    script = tmp_path / "ended.py"
+    script.write_text(ENDED)
+    told = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])},
+        timeout=120,
+        check=False,
+    )
+    assert told.stdout == "ended\n"
+    assert not told.stderr
