@@ -139,6 +139,12 @@ def _edt(record: Any, peer: str) -> list[float]:
     return _range([case["ms"][peer]["median"] / case["ms"]["sdm"]["median"] for case in record["cases"]])
 
 
+def _classes(record: Any) -> list[float]:
+    """Milliseconds of ours for each case, and how many times CuPy's are."""
+    ours, theirs = ([case["ms"][name] for case in record["cases"]] for name in ("sdm", "CuPy"))
+    return [*ours, *(b / a for a, b in zip(ours, theirs, strict=True))]
+
+
 def _to_tens(numbers: Sequence[float]) -> list[float]:
     """With the last to tens."""
     return [*numbers[:-1], round(numbers[-1], -1)]
@@ -283,6 +289,8 @@ FIGURES = (
     Figure(SPEED, "largest on a GPU {1:.1f}, {2} million points", "accuracy-cuda", _accuracy),
     Figure(SPEED, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
     Figure(SPEED, "rows, {:.0f} to {:,.0f} times as SciPy", "edt-cuda", lambda r: _to_tens(_edt(r, "SciPy"))),
+    Figure(SPEED, "16 classes of 512^3 in {:.0f} ms, 64 of 128^3 in {:.1f} ms", "edt-multiclass-cuda", _classes),
+    Figure(SPEED, "{2:.1f} and {3:.0f} times as fast as CuPy class by class", "edt-multiclass-cuda", _classes),
     Figure(SCIPY, "{:.0f} to {:,.0f} times as fast as SciPy", "edt-cuda", lambda r: _to_tens(_edt(r, "SciPy"))),
     Figure(GUIDE, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
     Figure(GUIDE, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
