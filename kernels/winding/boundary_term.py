@@ -113,6 +113,56 @@ def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
 
 
 @wp.func
+def strip_factor(
+    boundary: Boundary,
+    e: int,
+    p: wp.vec3d,
+    q: wp.vec2i,
+    row: wp.float64,
+    column: wp.float64,
+    step: wp.float64,
+    on_lattice: bool,
+):
+    """A complex number (x, y) of size 0.7 to 1, whose argument is half the solid angle of an edge's strip from p."""
+    first = boundary.lattice[2 * e]
+    second = boundary.lattice[2 * e + 1]
+    a = wp.vec3d(
+        wp.float64(boundary.ends[2 * e][0]) - p[0],
+        step * (wp.float64(first[0]) - row + TIE_ROW),
+        step * (wp.float64(first[1]) - column - TIE_COLUMN),
+    )
+    b = wp.vec3d(
+        wp.float64(boundary.ends[2 * e + 1][0]) - p[0],
+        step * (wp.float64(second[0]) - row + TIE_ROW),
+        step * (wp.float64(second[1]) - column - TIE_COLUMN),
+    )
+    across = a[1] * b[2] - a[2] * b[1]
+    left = across > wp.float64(0.0)
+    if on_lattice:
+        left = is_left(first, second, q)
+    aside_a = a[1] * a[1] + a[2] * a[2]
+    aside_b = b[1] * b[1] + b[2] * b[2]
+    la = wp.sqrt(a[0] * a[0] + aside_a)
+    lb = wp.sqrt(b[0] * b[0] + aside_b)
+    x = strip_side(a[0], aside_a, la) * strip_side(b[0], aside_b, lb) + a[1] * b[1] + a[2] * b[2]
+    y = wp.abs(across) + TINY
+    size = wp.float64(1.0) / (wp.abs(x) + y)
+    return x * size, wp.where(left, -y * size, y * size)
+
+
+@wp.func
+def turn_of(before: wp.float64, y: wp.float64, after: wp.float64):
+    """Whole turns that a factor adds to an argument, by its imaginary part and the product's before and after."""
+    zero = wp.float64(0.0)
+    turns = int(0)
+    if before >= zero and y > zero and after < zero:
+        turns = 1
+    if before < zero and y < zero and after >= zero:
+        turns = -1
+    return turns
+
+
+@wp.func
 def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: int, lanes: int):
     """A lane's part of the boundary's share of the winding number at p (scaled).
 
@@ -135,44 +185,31 @@ def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: 
     im = zero
     turns = int(0)
     count = edges_of(boundary)
+    base_of_edges = mesh * boundary.count
+    taken = int(0)
     e = lane
     while e < count:
-        at = 2 * (mesh * boundary.count + e)
-        first = boundary.lattice[at]
-        second = boundary.lattice[at + 1]
-        a = wp.vec3d(
-            wp.float64(boundary.ends[at][0]) - p[0],
-            step * (wp.float64(first[0]) - row + TIE_ROW),
-            step * (wp.float64(first[1]) - column - TIE_COLUMN),
-        )
-        b = wp.vec3d(
-            wp.float64(boundary.ends[at + 1][0]) - p[0],
-            step * (wp.float64(second[0]) - row + TIE_ROW),
-            step * (wp.float64(second[1]) - column - TIE_COLUMN),
-        )
-        across = a[1] * b[2] - a[2] * b[1]
-        left = across > zero
-        if on_lattice:
-            left = is_left(first, second, q)
-        aside_a = a[1] * a[1] + a[2] * a[2]
-        aside_b = b[1] * b[1] + b[2] * b[2]
-        la = wp.sqrt(a[0] * a[0] + aside_a)
-        lb = wp.sqrt(b[0] * b[0] + aside_b)
-        x = strip_side(a[0], aside_a, la) * strip_side(b[0], aside_b, lb) + a[1] * b[1] + a[2] * b[2]
-        y = wp.abs(across) + TINY
-        size = one / (wp.abs(x) + y)
-        x = x * size
-        y = wp.where(left, -y * size, y * size)
+        # Two at a time: a GPU waits long for one's roots and quotients.
+        other = wp.min(e + lanes, count - 1)
+        x, y = strip_factor(boundary, base_of_edges + e, p, q, row, column, step, on_lattice)
+        u, v = strip_factor(boundary, base_of_edges + other, p, q, row, column, step, on_lattice)
+        if e + lanes >= count:
+            u = one
+            v = zero
         new_re = re * x - im * y
         new_im = re * y + im * x
-        if im >= zero and y > zero and new_im < zero:
-            turns = turns + 1
-        if im < zero and y < zero and new_im >= zero:
-            turns = turns - 1
-        size = one / (wp.abs(new_re) + wp.abs(new_im) + TINY)
-        re = new_re * size
-        im = new_im * size
-        e = e + lanes
+        turns = turns + turn_of(im, y, new_im)
+        re = new_re * u - new_im * v
+        im = new_re * v + new_im * u
+        turns = turns + turn_of(new_im, v, im)
+        # Each factor is between 0.7 and 1.
+        taken = taken + 1
+        if taken == 8:
+            taken = int(0)
+            size = one / (wp.abs(re) + wp.abs(im) + TINY)
+            re = re * size
+            im = im * size
+        e = e + 2 * lanes
     pi = wp.float64(wp.PI)
     return (wp.atan2(im, re) + wp.float64(2.0) * pi * wp.float64(turns)) / (wp.float64(2.0) * pi)
 
