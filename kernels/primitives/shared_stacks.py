@@ -25,7 +25,7 @@ def _place(size: int, on_cpu: int = 0) -> str:
     on_cpu = on_cpu or size
     return f"""
 #if defined(__CUDA_ARCH__)
-    __shared__ wp::int32 shared[{GPU_GROUPS} * {size}];
+    __shared__ __align__(16) wp::int32 shared[{GPU_GROUPS} * {size}];
     return wp::array_t<wp::int32>(shared + threadIdx.x / 32 * {size}, {size});
 #else
     return wp::array_t<wp::int32>(stacks.data + (size_t)worker * {on_cpu}, {on_cpu});

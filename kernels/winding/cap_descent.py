@@ -13,6 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import tree_of
+from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient, about_root
 from sdm.kernels.primitives.lanes import (
     GPU_LANES,
     across,
@@ -51,6 +52,7 @@ _NODES, _SINGLES = 22, 2
 _SINGLE = GPU_LANES * _NODES
 _HANDED_ON_GPU = NEAR_LIST + GPU_LANES * NEAR_EACH
 MOST_NEAR = {"cuda": LARGE_STACK - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
+_ALL_ON_GPU = LARGE_STACK - NEAR_LIST
 _NEAR_ON_GPU, _NEAR_ON_CPU = MOST_NEAR["cuda"], MOST_NEAR["cpu"]
 # A node that is near is handed down without being opened if it is no larger than so many radii of the box: opened, it
 # would be near again.
@@ -63,10 +65,11 @@ NEAREST = 1.0e-7
 def most_of(caps: Caps, node: int, centre: wp.vec3, radius: float):
     """A bound of the solid angle of what is under a node, for all points within `radius` of the centre."""
     r0 = load4(caps.moments, _ROWS * node)
-    left = wp.length(wp.vec3(r0[0], r0[1], r0[2]) - centre) - (radius + r0[3]) * WIDER
+    way = wp.vec3(r0[0], r0[1], r0[2]) - centre
+    left = about_root(wp.dot(way, way)) - (radius + r0[3]) * WIDER
     most = float(2.0 * wp.PI)
     if left > NEAREST:
-        most = wp.min(most, WIDER * load4(caps.moments, _ROWS * node + 1)[0] / (left * left))
+        most = wp.min(most, WIDER * about_quotient(load4(caps.moments, _ROWS * node + 1)[0], left * left))
     return most
 
 
@@ -173,7 +176,8 @@ def see_caps(
     first_handed = wp.where(on_cpu(), NEAR_LIST + _NEAR_ON_CPU, _HANDED_ON_GPU)
     places = most
     if not keep:
-        places = wp.min(room, wp.where(on_cpu(), _NEAR_ON_CPU, NEAR_EACH * some))
+        places = wp.where(handed < 0 and some == lanes, _ALL_ON_GPU, NEAR_EACH * some)
+        places = wp.min(room, wp.where(on_cpu(), _NEAR_ON_CPU, places))
     if idle:
         rest = int(0)
     elif handed < 0:
@@ -209,21 +213,23 @@ def see_caps(
                 r1 = load4(caps.moments, at + 1)
                 if r1[1] > 0.0:
                     u = wp.vec3(r0[0], r0[1], r0[2]) - centre
-                    distance = wp.length(u)
+                    inverse = about_inverse_root(wp.dot(u, u))
+                    distance = wp.dot(u, u) * inverse
                     reach = (radius + r0[3]) * WIDER
                     bound = float(wp.inf)
+                    inverse2 = float(0.0)
                     left = distance - reach
                     if few * node < leaves and reach < 0.9 * distance and distance > NEAREST:
-                        inverse = 1.0 / distance
                         part = r1[0] * rest_of(radius, r0[3], r1[2], reach * inverse, inverse)
                         if part <= tolerance * (left * left):
-                            bound = part / (left * left)
-                    if bound <= tolerance:
+                            inverse2 = about_quotient(1.0, left * left)
+                            bound = part * inverse2
+                    if bound < wp.inf:
                         m = load_rest(caps.moments, base + node, r0, r1)
                         m4 = load_fourth(caps.moments, base + node)
-                        field = add_node(field, m, m4, u, 1.0 / distance, radius)
-                        field.error = field.error + WIDER * bound + r1[1] / (left * left)
-                        field.drift = field.drift + radius / distance * r1[0] / (left * left)
+                        field = add_node(field, m, m4, u, inverse, radius)
+                        field.error = field.error + WIDER * (bound + r1[1] * inverse2)
+                        field.drift = field.drift + WIDER * radius * inverse * r1[0] * inverse2
                         steps = steps + 1.0
                     elif keep and node < leaves and r0[3] <= SMALL * radius:
                         listed = bool(True)

@@ -45,6 +45,7 @@ from sdm.kernels.winding.near_caps import FULL, UNIT
 wp.set_module_options({"enable_backward": False})
 
 
+ONE_OVER_FULL = 1.0 / FULL
 # The factors of xxx, xxy, xxz, xyy, xyz, yyy and yyz; those of xzz, yzz and zzz follow, as the polynomial is harmonic.
 Cubes = wp.types.vector(length=7, dtype=wp.float32)
 
@@ -218,13 +219,13 @@ def share_at(field: Field, x: wp.vec3):
     cubic = x[0] * (x[0] * (c[0] * x[0] + c[1] * x[1] + c[2] * x[2]) + x[1] * (c[3] * x[1] + c[4] * x[2]))
     cubic = cubic + x[1] * x[1] * (c[6] * x[1] + c[7] * x[2])
     cubic = cubic + x[2] * x[2] * (c[5] * x[0] + c[8] * x[1] + c[9] * x[2])
-    return (float(field.value) + wp.dot(field.slope, x) + curved + cubic) / FULL
+    return (float(field.value) + wp.dot(field.slope, x) + curved + cubic) * ONE_OVER_FULL
 
 
 @wp.func
 def doubt(field: Field):
     """The largest error of that."""
-    return field.error / FULL
+    return field.error * ONE_OVER_FULL
 
 
 @wp.func
@@ -240,11 +241,11 @@ def most_change(field: Field, half: wp.vec3):
     cubic = x * x * (wp.abs(c[0]) * x + wp.abs(c[1]) * y + wp.abs(c[2]) * z)
     cubic = cubic + y * y * (wp.abs(c[3]) * x + wp.abs(c[6]) * y + wp.abs(c[7]) * z)
     cubic = cubic + z * z * (wp.abs(c[5]) * x + wp.abs(c[8]) * y + wp.abs(c[9]) * z) + wp.abs(c[4]) * x * y * z
-    return (slope + curved + cubic) / FULL
+    return (slope + curved + cubic) * ONE_OVER_FULL
 
 
 @wp.func
 def largest_share(field: Field, change: float):
     """A bound of the caps' share all over a box where it changes by no more than that."""
     most = wp.abs(float(field.value)) + field.error + wp.where(field.near > 0, field.left_out, 0.0)
-    return most / FULL + change
+    return most * ONE_OVER_FULL + change

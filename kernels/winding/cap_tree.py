@@ -37,7 +37,7 @@ from sdm.kernels.winding.fourth_moment import (
 wp.set_module_options({"enable_backward": False})
 
 # A node's moments: centre (3), radius; area, roughness, spread, M1 (3), M2 (5: xx, xy, xz, yy, yz), M3 (7: xxx, xxy,
-# xxz, xyy, xyz, yyy, yyz), M4 (9, `fourth_moment`), and one unused: the rest follows from zero traces.
+# xxz, xyy, xyz, yyy, yyz), M4 (9, `fourth_moment`): the rest follows from zero traces. One is unused.
 MOMENTS_SIZE = 32
 _ROWS = MOMENTS_SIZE // 4
 # The rounding of a node's part of the solid angle, times its squared distance: of all float32 numbers on the way, by

@@ -6,7 +6,19 @@ import warp as wp
 
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, LARGEST_PRODUCT, NEAR_LIST, ROUNDINGS, SNAP, UNIT, WIDER
+from sdm.kernels.winding.near_caps import (
+    ACROSS,
+    ALONG,
+    FULL,
+    LARGEST_PRODUCT,
+    NEAR_LIST,
+    SECOND,
+    SNAP_ACROSS,
+    SNAP_ALONG,
+    TURNED,
+    TURNED_MORE,
+    UNIT,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,16 +51,22 @@ Sixteen = wp.types.vector(length=16, dtype=wp.float32)
         const eight lb = root(bx * bx + by * by + bz * bz);
         const eight lc = root(cx * cx + cy * cy + cz * cz);
         const eight size = la * lb * lc;
-        const eight v = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx);
+        const float dx = at[1].c[0] - at[0].c[0], dy = at[1].c[1] - at[0].c[1], dz = at[1].c[2] - at[0].c[2];
+        const float ex = at[2].c[0] - at[0].c[0], ey = at[2].c[1] - at[0].c[1], ez = at[2].c[2] - at[0].c[2];
+        const float first = fabsf(dx) + fabsf(dy) + fabsf(dz), second = fabsf(ex) + fabsf(ey) + fabsf(ez);
+        const eight v = ax * (dy * ez - dz * ey) + ay * (dz * ex - dx * ez) + az * (dx * ey - dy * ex);
         const eight f = size + (ax * bx + ay * by + az * bz) * lc + (bx * cx + by * cy + bz * cz) * la
             + (cx * ax + cy * ay + cz * az) * lb;
         const eight less = where(la < lb, la, lb), least = where(less < lc, less, lc);
         const eight sv = size_of(v), sf = size_of(f), most = where(sv < sf, sf, sv);
-        const eight room = ({ROUNDINGS}f * least + {SNAP}f) * size;
+        const eight more = where(la > lb, la, lb), longest = where(more > lc, more, lc);
+        const eight across = ({ACROSS}f * first * second * la + {SNAP_ACROSS}f * (first + second) * longest) * least;
+        const eight along = ({ALONG}f * least + {SNAP_ALONG}f) * size, room = along + across;
         const mask known = (most * least > 10.0f * room) & ((f > none) | (sv * least > room));
         const eight inverse = one / (most * least);
-        error = error + where(known, 2.0f * {WIDER}f * (room * inverse), all(INFINITY));
         const eight x = where(known, f * (inverse * least), one), y = where(known, v * (inverse * least), none);
+        const eight part = size_of(y), off = {2.0 * SECOND}f * inverse * (part * along + across);
+        error = error + where(known, off + ({2.0 * TURNED_MORE}f * part + {2.0 * TURNED}f), all(INFINITY));
         const eight new_re = re * x - im * y, new_im = re * y + im * x;
         turns = turns + where((im >= none) & (y > none) & (new_im < none), one, none);
         turns = turns - where((im < none) & (y < none) & (new_im >= none), one, none);

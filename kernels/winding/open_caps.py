@@ -3,10 +3,11 @@
 What has to be right is on which side of 0.25, 0.5 and 0.75 the winding number of a voxel is: that is sign and
 clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_field`). Where the caps' share is less
 than a quarter all over a box, its whole numbers will do; where the field's error leaves no voxel in doubt, the field's
-values are taken; else its octants are looked at, down to 2^3 voxels, then single voxels, or on a CPU boxes of 2^3
-again: each octant from what the tree's descent for the whole box has found (`sdm.kernels.winding.cap_descent`).
-What is in doubt even so gets the sum over all boundary edges in float64, as `boundary_term` has it: so every voxel is
-on the side where that is.
+values are taken; else its octants are looked at, down to 4^3 voxels on a GPU and 2^3 on a CPU: each octant from what
+the tree's descent for the whole box has found (`sdm.kernels.winding.cap_descent`). What the last leave in doubt they
+look at again, with a smaller tolerance. On a GPU what is in doubt even so gets the sum over all caps in float32
+(`rims.doubtful_voxels`), and what is still, that over all boundary edges in float64, as `boundary_term` has it: so
+every voxel is on the side where that is.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.geometry.voxel_box import box_of_lane, box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_box import box_of_lane, box_of_voxels, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
@@ -35,11 +36,12 @@ from sdm.kernels.primitives.lanes import (
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
-from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
+from sdm.kernels.winding.cap_field import Field, doubt, field_of_lane, moved_field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, NEAR_EACH, WIDER, near_list_of
+from sdm.kernels.winding.near_caps import FULL, WIDER, near_list_of
+from sdm.kernels.winding.octants import count_bits, is_one, octants_to_open, parts_of_lanes
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful, open_voxel, place_of_voxel
-from sdm.kernels.winding.settled_boxes import is_left, is_whole, settle_box
+from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, settle_box, settle_octants
 
 wp.set_module_options({"enable_backward": False})
 
@@ -55,19 +57,24 @@ LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 1e-5, 5e-6, 1e-6), "cpu": (4e-3, 2e-3, 1e-3, 7e-5, 2e-5, 3e-6, 3e-7)}
 LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
 SETTLED = {"cuda": (0, 0, 8, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
-# Whether voxels that boxes of 2^3 leave in doubt are looked at by such boxes again, with smaller tolerances, instead of
-# one by one; and so many of the smallest sizes of boxes do without Taylor polynomials: near caps cost a CPU, which adds
-# them for eight voxels at once, less than those do.
-TOGETHER = {"cuda": False, "cpu": True}
+# What boxes of twice so many voxels along each edge, 2^bits, leave in doubt is looked at by such boxes again instead of
+# by smaller ones, or none with -1: with such a tolerance, such room for near caps, and Taylor polynomials for boxes of
+# 2^bits and more.
+TOGETHER = {"cuda": 1, "cpu": 0}
+AGAIN = {"cuda": (4e-6, 960, 0), "cpu": (3e-6, MOST_NEAR["cpu"], 3)}
+# Where that leaves more near caps than there is room for, so many more looks, each with so many times the tolerance.
+TRIES, LARGER = 6, 4.0
+# So many of the smallest sizes of boxes do without Taylor polynomials: near caps cost a CPU, which adds them for eight
+# voxels at once, less than those do.
 PLAIN = {"cuda": 0, "cpu": 3}
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
-# Where boxes are left to the sum over all boundary edges (`rims.doubtful_voxels`): the size in bits of the smallest
-# that are looked at, if a mesh has no more edges, and a map no more voxels, than this: a small map waits for launches
-# rather than for sums. A CPU goes on to single voxels.
+# Where boxes are left to the sums over all caps (`rims.doubtful_voxels`) before any look again: the size in bits of the
+# smallest that are looked at, if a mesh has no more edges, and a map no more voxels, than this: a small map waits for
+# launches rather than for sums.
 ANY = math.inf
 SUMMED: dict[str, tuple[tuple[int, float, float], ...]] = {
-    "cuda": ((3, 64, ANY), (2, 1300, ANY), (2, 3000, 1 << 21), (1, 16000, ANY)),
+    "cuda": ((3, 64, ANY), (2, 1300, ANY), (2, 3000, 1 << 21)),
     "cpu": (),
 }
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
@@ -85,43 +92,6 @@ def voxel_of_piece(piece: int, octant: int, cells: wp.vec3i):
     """The mesh and the indices of a voxel of a box of 2^3, of which there are so many along each axis."""
     mesh, at = unravel(piece, cells)
     return mesh, 2 * at + octant_at(octant)
-
-
-@wp.func
-def octants_to_open(slab: Slab, values: wp.array4d(dtype=wp.float32), mesh: int, at: wp.vec3i, bits: int, some: int):
-    """Of `some` octants of a box, a bit for each, those of 2^bits voxels that are there, or voxels that are left."""
-    found = int(0)
-    for octant in range(unknown(8)):
-        child = 2 * at + octant_at(octant)
-        here = is_within(slab, wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits))
-        if here and bits == 0:
-            here = is_whole(values[mesh, child[0], child[1], child[2]])
-        if here:
-            found = found | (1 << octant)
-    return found & some
-
-
-@wp.func
-def is_one(bits: int):
-    """True if a single bit is set, or none."""
-    return (bits & (bits - 1)) == 0
-
-
-@wp.func
-def count_bits(bits: int):
-    """Number of bits that are set, of eight."""
-    pairs = bits - ((bits >> 1) & 0x55)
-    fours = (pairs & 0x33) + ((pairs >> 2) & 0x33)
-    return (fours + (fours >> 4)) & 0xF
-
-
-@wp.func
-def parts_of_lanes(octants: int, near: int, lanes: int):
-    """Parts of a group of lanes that look at octants beside each other, if so much was near to the box around them."""
-    parts = int(1)
-    while parts < count_bits(octants) and 2 * parts <= lanes and 2 * parts * near <= NEAR_EACH * lanes:
-        parts = 2 * parts
-    return parts
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
@@ -180,7 +150,9 @@ def _open_boxes(
         whole.error = float(wp.inf)
         middle = wp.vec3()
         reach = float(0.0)
-        again = together != 0 and bits == 0
+        again = together != 0
+        limit = float(tolerance)
+        tries = int(0)
         expand = bits >= plain
         few = wp.where(bits < wp.min(plain, 2), FEW, 0)
         # First the box, then its octants: as many beside each other as what is near leaves room for.
@@ -217,7 +189,7 @@ def _open_boxes(
                 mesh,
                 box.centre,
                 radius,
-                tolerance,
+                limit,
                 listed,
                 field,
                 handed,
@@ -233,6 +205,36 @@ def _open_boxes(
             if keep:
                 whole = field
                 keep = bool(False)
+            elif again and tries < TRIES and field.near == 0 and doubt(field) > MOST_DOUBT:
+                # More are near than there is room for.
+                limit = limit * LARGER
+                tries = tries + 1
+            elif again and bits > 0:
+                undone = settle_octants(
+                    field,
+                    caps,
+                    stack,
+                    slab,
+                    mesh,
+                    start,
+                    bits,
+                    some,
+                    settled,
+                    box,
+                    scale,
+                    near_list_of(lane, part),
+                    lane,
+                    lanes,
+                    values,
+                )
+                if lane == 0:
+                    fetch_add(counts, STRIDE * level + LOOKED, count_bits(some))
+                    if undone != 0:
+                        place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
+                        left[place] = number
+                        left_octants[place] = undone
+                some = int(0)
+                wait_for_lanes()
             else:
                 # Large boxes have voxels for all lanes, one box after the other.
                 turns = wp.where(bits > 1, parts, 1)
@@ -346,24 +348,32 @@ def open_caps(
     fewest = FEWEST_ITEMS[0] * workers // FEWEST_ITEMS[1] if device.is_cuda else 0
     fits = (size for size, edges, voxels in SUMMED[kind] if boundary.count <= edges and values.size <= voxels)
     smallest = next(fits, 0)
+    again, of_left = TOGETHER[kind], 0
     for level in range(first, len(BITS)):
         bits = BITS[level]
-        if smallest and level > first and bits < smallest:
+        if level > first and (bits < smallest or of_left > bits + 1):
             at = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
-            inputs = [tree, boundary, caps, 0, slab, BITS[level - 1], cells, fewest, left, left_octants, *at, counts]
+            inputs = [tree, boundary, caps, 0, slab, of_left, cells, fewest, left, left_octants, *at, counts]
             launch(open_doubtful, workers * lanes, [*inputs, lanes, values], device, smallest=1)
             return counts
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         if bits > 0:
             boxes, octants = left, left_octants
             left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
-        limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
-        together = TOGETHER[kind]
+        together = bits == again
+        tolerance, room, plain = TOLERANCES[kind][level], LISTED[kind][level], PLAIN[kind]
+        limits = [tolerance * FULL, room, SETTLED[kind][level]]
+        if together:
+            tolerance, room, plain = AGAIN[kind]
+            limits = [tolerance * FULL, room, room]
         listed = [left, left_octants] if bits == 0 else [boxes, octants]
         inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first)]
-        inputs += [0 if together and bits == 0 else fewest, int(together), PLAIN[kind], *listed]
+        inputs += [0 if together else fewest, int(together), plain, *listed]
         inputs += [left, left_octants, counts, stacks, lanes, values]
         launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
+        of_left = bits
+        if together and bits > 0:
+            cells, of_left = parents, bits + 1
     inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, lanes, values]
     launch(_open_exactly, workers * lanes, inputs, device, smallest=1)
     return counts

@@ -40,6 +40,7 @@ from sdm.kernels.winding.eights.node_angles import angles_of_nodes
 from sdm.kernels.winding.eights.node_table import HAND_DOWN, HANDED, MIXED, ROW, STACK, TO_VOXELS, pack_nodes
 from sdm.kernels.winding.eights.node_table import LISTED as LISTED_AT
 from sdm.kernels.winding.near_caps import FULL, WIDER
+from sdm.kernels.winding.octants import count_bits, is_one, octants_to_open
 from sdm.kernels.winding.open_caps import (
     BITS,
     COUNTS,
@@ -54,10 +55,7 @@ from sdm.kernels.winding.open_caps import (
     STRIDE,
     TOLERANCES,
     _open_boxes,
-    count_bits,
     first_level,
-    is_one,
-    octants_to_open,
     voxel_of_piece,
 )
 from sdm.kernels.winding.open_caps import LENGTH as OF_LISTED

@@ -1,9 +1,9 @@
-"""Voxels that boxes have left in doubt, by the sum over all boundary edges: in float32, then in float64.
+"""Voxels that boxes have left in doubt, by the sum over all caps, or all boundary edges: in float32, then in float64.
 
-The lanes of a group share the edges, and the voxels of a box of 2^3 between them. The winding number of the surface is
-that of surface and caps, less the crossings of the caps by the ray along x, plus the boundary's share: as float64's sum
-has it, and with the same sides, so that where float32's error (`float32_sum`) leaves the side open, that is all that is
-added up again.
+The lanes of a group share caps or edges, and the voxels of a box of 2^3 between them. The winding number of the surface
+is that of surface and caps less the caps' share (`all_caps`), or that of its crossings plus the boundary's
+(`float32_sum`). Where the error of that leaves the side open, float64's sum over all boundary edges is taken, which has
+the crossings of the caps by the ray along x taken away: so every voxel is on the side where that is.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from sdm.kernels.primitives.lanes import (
     unknown,
     wait_for_lanes,
 )
+from sdm.kernels.winding.all_caps import cap_part
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
@@ -95,16 +96,20 @@ def open_doubtful(
 ):
     """Open what is left of listed boxes of 2^bits voxels along each edge, which are so many along each axis.
 
-    Items of work are their octants in doubt, or some of the voxels of boxes of 2^3 where there are fewer than `fewest`.
+    Items of work are their octants in doubt, or some of the voxels of boxes of 2^3 where there are fewer than `fewest`,
+    or edges are many.
     `surface` is 1 if values are the crossings of the surface alone. `length`, `next_item`, `looked` and `exact` are
     places of the counts.
     """
     lane = (begin + wp.tid()) % lanes
     share = int(8)
+    # Voxels of a box of 2^3 that are looked at as different items.
+    apart = int(1)
     if bits == 1:
         share = int(1)
-        while share < 8 and (counts[length] * share < fewest or edges_of(boundary) > MANY):
-            share = 2 * share
+    while apart < 8 and bits < 3 and (counts[length] * share < fewest or edges_of(boundary) > MANY):
+        share = 2 * share
+        apart = 2 * apart
     total = counts[length] * share
     # Boxes of 2^3 in an octant, along each edge and in all, or the box itself.
     half = wp.max(bits - 2, 0)
@@ -114,12 +119,12 @@ def open_doubtful(
         part_of_box = item - number * share
         mesh, at = unravel(boxes[number], cells)
         first = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
-        some = int(255)
         inner = 1 << (3 * half)
-        if bits == 1:
-            # Every so many voxels.
-            some = wp.where(share == 1, 255, wp.where(share == 2, 0x55, wp.where(share == 4, 0x11, 1))) << part_of_box
-        else:
+        # Every so many voxels.
+        some = wp.where(apart == 1, 255, wp.where(apart == 2, 0x55, wp.where(apart == 4, 0x11, 1)))
+        some = some << (part_of_box & (apart - 1))
+        if bits > 1:
+            part_of_box = part_of_box / apart
             octant = place_in_box(part_of_box, 1)
             size = bits - 1
             first = first + wp.vec3i(octant[0] << size, octant[1] << size, octant[2] << size)
@@ -143,24 +148,25 @@ def open_doubtful(
                 idle = k > 7
                 v = start + place_in_box(wp.min(k, 7), 1)
                 whole = float(0.0)
-                crossings = float(0.0)
                 winding = float(0.0)
                 error = float(0.0)
                 p = wp.vec3d()
                 if not idle:
                     p = place_of_voxel(tree, slab, mesh, v)
                     whole = values[mesh, v[0], v[1], v[2]]
-                    found = rim_part(boundary, mesh, wp.vec3(p), lane & (part - 1), part)
-                    winding = found[0]
-                    error = found[1]
-                    crossings = whole
                     if surface == 0:
-                        crossings = without_caps(tree, caps, mesh, p, whole)
+                        found = cap_part(caps, mesh, wp.vec3(p), lane & (part - 1), part)
+                        winding = -found[0]
+                        error = found[1]
+                    else:
+                        found = rim_part(boundary, mesh, wp.vec3(p), lane & (part - 1), part)
+                        winding = found[0]
+                        error = found[1]
                 winding = sum_of_some(winding, part)
                 error = sum_of_some(error, part)
                 sure = bool(True)
                 if not idle:
-                    winding = winding + crossings
+                    winding = winding + whole
                     sure = is_sure(winding, whole, error)
                 wait_for_lanes()
                 if not idle and sure and (lane & (part - 1)) == 0:
@@ -172,8 +178,11 @@ def open_doubtful(
                     again = again & (again - wp.uint32(1))
                     u = start + place_in_box(int_from_lane(k, source), 1)
                     here = place_of_voxel(tree, slab, mesh, u)
-                    whole_share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, here, lane, lanes))
-                    last = from_lane(crossings, source) + float(whole_share)
+                    share_there = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, here, lane, lanes))
+                    last = from_lane(whole, source)
+                    if surface == 0:
+                        last = without_caps(tree, caps, mesh, here, last)
+                    last = last + float(share_there)
                     if lane == 0:
                         values[mesh, u[0], u[1], u[2]] = last
                         fetch_add(counts, looked, 1)

@@ -19,7 +19,7 @@ from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, doubt, moved_field, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.hole_caps import is_far, view_caps
-from sdm.kernels.winding.near_caps import near_share
+from sdm.kernels.winding.near_caps import FULL, NEAR_LIST, corners_from, near_cap
 from tests.helpers import oracle
 
 wp.set_module_options({"enable_backward": False})
@@ -52,7 +52,13 @@ def _field(
             handed = whole.near
     field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, True, 0, stack, 0, 1, 1, False)
     for k in range(off.shape[1]):
-        near, wrong = near_share(caps, field.near, at[i] + off[i, k], stack, 0, 1)
+        near = 0.0 * radius[i]
+        wrong = 0.0 * radius[i]
+        for n in range(field.near):
+            a, b, c = corners_from(caps, stack[NEAR_LIST + n], at[i] + off[i, k])
+            angle, room_of_one = near_cap(a, b, c)
+            near += angle / FULL
+            wrong += room_of_one / FULL
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
         error[i, k] = doubt(field) + wrong
 

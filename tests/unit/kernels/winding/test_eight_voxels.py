@@ -29,7 +29,7 @@ def _both(
         xs[k] = p[0]
         ys[k] = p[1]
         zs[k] = p[2]
-        angle, error = near_angle(caps, near, p, stack, NEAR_LIST, 0, 1)
+        angle, error = near_angle(caps, near, True, p, stack, NEAR_LIST, 0, 1, 1)
         alone[8 * i + k] = wp.vec2(angle, error)
     eights[i] = near_angles(caps.tree.corners, near, xs, ys, zs, stack)
 
