@@ -317,10 +317,11 @@ def open_caps_by_eights(
     """`open_caps.open_caps` on a CPU; the same counts."""
     device = values.device
     meshes, *shape = values.shape
-    workers = 16 * threads()
+    # Stacks of what is looked at by eights are large.
+    workers, few = 16 * threads(), 4 * threads()
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
-    large, stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32), empty(workers * STACK, wp.int32)
+    large, stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32), empty(few * STACK, wp.int32)
     nodes = caps.moments.size // MOMENTS_SIZE
     rows = empty(nodes * ROW, wp.float32)
     launch(pack_nodes, nodes, [caps.moments, rows], device)
@@ -354,7 +355,7 @@ def open_caps_by_eights(
             int(level == first),
             *listed,
         ]
-        launch(open_boxes_by_eights, workers, [*inputs, left, left_octants, counts, stacks, values], device, smallest=1)
+        launch(open_boxes_by_eights, few, [*inputs, left, left_octants, counts, stacks, values], device, smallest=1)
     inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, values]
     launch(_open_exactly_by_eights, workers, inputs, device, smallest=1)
     return counts

@@ -189,7 +189,7 @@ def _open_by_edges(
 # A mesh with no more boundary edges than this, and for each from so many to that many faces, is opened by them: loose
 # sheets and open boxes, whose caps are as large as they are, and so near for most boxes. Others are opened by caps.
 MOST_EDGES = {"cuda": 2000, "cpu": 2000}
-FACES_AN_EDGE = {"cuda": (0.5, 5), "cpu": (0.5, 7)}
+FACES_AN_EDGE = {"cuda": (0.5, 5), "cpu": (0.5, 6)}
 # What an edge's polynomial may leave out of the solid angle.
 TOLERANCES = {"cuda": 3e-3, "cpu": 6e-3}
 # Bits of the size of boxes, smaller ones where a GPU has less than so many for each group of lanes.
