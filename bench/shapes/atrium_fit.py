@@ -13,6 +13,7 @@ image halfway between the intensities, as it is and after a Gaussian of one voxe
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--cache", type=Path, default=None, help="keeps the surfaces for the next time")
     parser.add_argument("--laid", type=Path, default=None, help="as sdm.bench.shapes.atria --laid left it: all of them")
+    parser.add_argument("--resume", action="store_true", help="keep the atria in --out, fit the others")
     parser.add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
     options = parser.parse_args(words)
     begin, device = time.perf_counter(), choose_device(options.device)
@@ -75,10 +77,13 @@ def main(words: list[str] | None = None) -> None:
         names, faces = list(known["points"]), known["faces"]
         points = torch.stack([known["points"][name] for name in names]).double()
     print(f"{len(names)} atria, a template laid on each: {time.perf_counter() - begin:.0f} s", flush=True)
-    rows: list[dict[str, Any]] = []
+    rows = _before(options)
+    done = {row["name"] for row in rows}
     for number, (name, mask) in enumerate(masks.items()):
         if time.perf_counter() - begin > options.budget_s:
             break
+        if name in done:
+            continue
         mesh = label_surface(mask, SPACING_MM)
         away = twins_of(record, [name]) | {name} | doubles
         kept = [i for i, other in enumerate(names) if other not in away]
@@ -97,8 +102,17 @@ def main(words: list[str] | None = None) -> None:
     print(_means(rows))
 
 
+def _before(options: Any) -> list[dict[str, Any]]:
+    """Atria of an earlier run in the file, with `--resume`."""
+    if not options.resume or not options.out.is_file():
+        return []
+    return json.loads(options.out.read_text())["atria"]
+
+
 def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
-    return {key: round(float(np.mean([r[key] for r in rows])), 4) for key in rows[0] if key.endswith(("_mm", "_s"))}
+    """Of what all rows have."""
+    keys = [key for key in rows[0] if key.endswith(("_mm", "_s")) and all(key in row for row in rows)]
+    return {key: round(float(np.mean([row[key] for row in rows])), 4) for key in keys}
 
 
 def _laid(options: Any, doubles: set[str], device: Any) -> tuple[list[str], Tensor, Tensor]:
