@@ -57,7 +57,7 @@ class Predictor:
         source: A file of weights; by default those that come with the package.
         backend: "torch", "onnxruntime" or "openvino"; by default the fastest that is installed.
         threads: Cores to use; by default all of this process. The backend "torch" uses as many as
-            `torch.set_num_threads` has set, whatever is given here.
+            `torch.set_num_threads` has set, whatever is given here, and one for SDMNN+ in bfloat16.
 
     Raises:
         FormatError: A file that is not there or not a surrogate.

@@ -83,3 +83,10 @@ def test_later_changes_of_the_weights_have_no_effect():
     for weight in model.parameters():
         weight.zero_()
     assert torch.equal(run(theta), before)
+
+
+def test_threads_of_torch_are_as_before():
+    before = torch.get_num_threads()
+    run = FoldedNetwork(network(5), torch.bfloat16)
+    run(Cochlea().sample(1, seed=1, device="cpu"))
+    assert torch.get_num_threads() == before
