@@ -1,4 +1,4 @@
-"""Figures of narrow bands that the public pages have, from the records."""
+"""Figures of narrow bands and of surfaces that the public pages have, from the records."""
 
 from __future__ import annotations
 
@@ -59,3 +59,18 @@ def beside_meshlib(record: Any) -> list[float]:
 def watertight_seconds(record: Any) -> list[float]:
     """Seconds of `sdm watertight` of the first mesh: repeated, a file of a folder, the first call of a process."""
     return [record["rows"][0][name] for name in ("warm", "folder", "first")]
+
+
+def surface_milliseconds(record: Any) -> list[float]:
+    """Least and most milliseconds of surfaces at 1024^3: cubes of maps and of bands, dual ones with their mesh."""
+    methods = "sdm cubes", "sdm band", "sdm dual by the mesh"
+    rows = [row for row in record["rows"] if row["resolution"] == 1024]
+    found = [[1e3 * row["seconds"] for row in rows if row["method"] == method] for method in methods]
+    return [ms for times in found for ms in spread(times)]
+
+
+def voxels_off_edges(record: Any) -> list[float]:
+    """How far points of sharp edges are from dual surfaces made with the mesh, at most: of fandisk, of all meshes."""
+    rows = [row for row in record["rows"] if row["method"] == "sdm dual by the mesh"]
+    fandisk = [row["edges_most"] for row in rows if row["mesh"] == "fandisk"]
+    return [max(fandisk), max(row["edges_most"] for row in rows)]

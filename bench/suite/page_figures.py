@@ -22,6 +22,8 @@ from sdm.bench.suite.band_figures import (
     means_on_a_gpu,
     milliseconds_on_a_gpu,
     shares_of_openvdb,
+    surface_milliseconds,
+    voxels_off_edges,
     watertight_seconds,
 )
 from sdm.bench.suite.fit_figures import FIT_FIGURES
@@ -263,7 +265,14 @@ FIGURES = (
         milliseconds_on_a_gpu,
     ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", shares_of_openvdb),
-    Figure(SPEED, "{:.2f} s repeated, {:.2f} s a file of a folder, {:.1f} s", "watertight-cuda", watertight_seconds),
+    Figure(SPEED, "{:.2f} s repeated, {:.2f} s a file of a folder, {:.2f} s", "watertight-cuda", watertight_seconds),
+    Figure(
+        SPEED,
+        "{:.1f} to {:.1f} ms of a map, {:.1f} to {:.1f} ms of a band, {:.0f} to {:,.0f} ms by dual contouring",
+        "surface-cuda",
+        surface_milliseconds,
+    ),
+    Figure(SPEED, "edges of fandisk within {:.3f} voxels, of all three {:.3f}", "surface-cuda", voxels_off_edges),
     Figure(SPEED, "geometric means {:.1f}, {:.1f}, {:.1f} and {:.1f} ms", "band-cuda", means_on_a_gpu),
     Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: beside_others(r)[:1]),
     Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: beside_others(r)[1:]),

@@ -31,6 +31,8 @@ def draw(report: dict[str, Any], path: Path) -> None:
                 )
             log_axes(axes)
             axes.set_xticks(sizes, [str(size) for size in sizes])
+            if len(sizes) == 1:
+                axes.set_xlim(sizes[0] / 2, 2 * sizes[0])
             axes.minorticks_off()
             axes.set_xlabel("voxels along each axis")
             axes.set_title(mesh)
