@@ -70,7 +70,7 @@ def surface_milliseconds(record: Any) -> list[float]:
 
 
 def voxels_off_edges(record: Any) -> list[float]:
-    """How far points of sharp edges are from dual surfaces made with the mesh, at most: of fandisk, of all meshes."""
+    """Largest distances of points of sharp edges from dual surfaces made with the mesh: of fandisk, of all meshes."""
     rows = [row for row in record["rows"] if row["method"] == "sdm dual by the mesh"]
     fandisk = [row["edges_most"] for row in rows if row["mesh"] == "fandisk"]
     return [max(fandisk), max(row["edges_most"] for row in rows)]
