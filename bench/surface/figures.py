@@ -13,7 +13,7 @@ MARKS = ("o", "s", "D", "^", "v", "P")
 def draw(report: dict[str, Any], path: Path) -> None:
     """Seconds of each method against voxels along an axis, a panel for each mesh: on a CPU those of all cores."""
     rows, machine = report["rows"], report["machine"]
-    part, label = ("seconds", "seconds") if "sm_mhz" in machine["clocks"] else ("cpu", "seconds of all cores")
+    part, label = ("seconds", "seconds") if "sm_mhz" in machine.get("clocks", {}) else ("cpu", "seconds of all cores")
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
     sizes = sorted({row["resolution"] for row in rows})
     with sheet(path, (4.6 * len(meshes) + 1, 5.0), dpi=110, layout="constrained", look=STYLE) as figure:
