@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from sdm.bench.disk.simulate import OBJAVERSE, from_record
@@ -50,13 +50,22 @@ def shares_in_pairs(record: dict[str, Any]) -> list[float]:
 
 
 def by_processes(record: dict[str, Any], work: str, ways: Sequence[str]) -> list[float]:
-    """Items a second once processes run, of one process, of several on one GPU, and of one and several on each."""
-    found: dict[str, float] = {}
+    """Items a second once processes run, of one process, of several on one GPU, and of one on each."""
+    found = {way: row["steady"] for way, row in _ways(record, work)}
+    return [found[way] for way in ways]
+
+
+def seconds_by_processes(record: dict[str, Any], work: str, ways: Sequence[str]) -> list[float]:
+    """How many items, and seconds of all, with the start of processes, by each way to share them."""
+    found = {way: row["count"] / row["of_all"] for way, row in _ways(record, work)}
+    return [record["rows"][0]["count"], *(found[way] for way in ways)]
+
+
+def _ways(record: dict[str, Any], work: str) -> Iterator[tuple[str, dict[str, Any]]]:
     for row in record["rows"]:
         gpus, processes = len(set(row["processes"])), len(row["processes"])
         if row["work"] == work:
-            found[f"{gpus} x {processes // gpus}"] = row["steady"]
-    return [found[way] for way in ways]
+            yield f"{gpus} x {processes // gpus}", row
 
 
 def bytes_of_a_map(record: dict[str, Any]) -> list[float]:
@@ -84,9 +93,12 @@ PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
     ),
     ("zstd takes {:.2f} MB of its 1.05", "disk-shards-cpu", bytes_of_a_map),
     (
-        "{:,.0f} maps a second by one process, {:,.0f} by four, {:,.0f} by one on each GPU and {:,.0f} by four on each",
+        (
+            "{:,.0f} float16 maps took {:.1f} s by one process that ran, {:.1f} s by four, {:.1f} s by one on each GPU "
+            "and {:.1f} s by four on each"
+        ),
         "disk-devices-cuda",
-        lambda r: by_processes(r, "generate float16 none", ("1 x 1", "1 x 4", "2 x 1", "2 x 4")),
+        lambda r: seconds_by_processes(r, "generate float16 none", ("1 x 1", "1 x 4", "2 x 1", "2 x 4")),
     ),
     (
         "as `.npz`: {:,.0f} a second by one process, {:,.0f} by four, {:,.0f} by one on each GPU",

@@ -84,7 +84,10 @@ def dataset_costs() -> list[str]:
             next(row for row in _record(name)["pipelines"] if row["work"] == f"generate {work}")
             for name in ("disk-generate-cuda", "disk-real-cuda", "disk-cpu")
         )
-        size, seconds = maps * sizes[work] / 1000, [maps / row["per_second"] for row in (memory, disk, cores)]
+        size, seconds = (
+            maps * sizes[work] / 1000,
+            [maps / row.get("steady_per_second", row["per_second"]) for row in (memory, disk, cores)],
+        )
         rows.append(f"| {size:.0f} GB | {seconds[0]:.0f} s | {seconds[1]:.0f} s | {seconds[2] / 3600:.1f} h |")
     return rows
 
