@@ -56,7 +56,7 @@ def by_processes(record: dict[str, Any], work: str, ways: Sequence[str]) -> list
 
 
 def seconds_by_processes(record: dict[str, Any], work: str, ways: Sequence[str]) -> list[float]:
-    """How many items, and seconds of all, with the start of processes, by each way to share them."""
+    """Number of items, and seconds of all, with the start of processes, by each way to share them."""
     found = {way: row["count"] / row["of_all"] for way, row in _ways(record, work)}
     return [record["rows"][0]["count"], *(found[way] for way in ways)]
 
