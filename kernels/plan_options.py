@@ -20,6 +20,8 @@ class PlanOptions:
         cell: Voxels along the edge of a cell: 8 or 16.
         shares: Groups of lanes that make the candidate list of each region, and of each cell: powers of two, the
             second at most the first.
+        block_shares: Groups of lanes that make the list of features of each block: at most 32.
+        block_parts: Groups of lanes that measure each block: 1, 2, 4 or 8.
         split_length: Leaves of a cell's candidate list that one group of lanes takes, at least 1.
         levels_left_out: Last levels of the tree that candidate lists do without, as far as it has them.
         pool_entries: Entries of the pool of candidate lists.
@@ -37,6 +39,8 @@ class PlanOptions:
     points_method: str = "auto"
     cell: int | None = None
     shares: tuple[int, int] | None = None
+    block_shares: int | None = None
+    block_parts: int | None = None
     split_length: int | None = None
     levels_left_out: int | None = None
     pool_entries: int | None = None

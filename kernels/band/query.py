@@ -69,7 +69,7 @@ def _measure_band(
 ):
     thread = begin + wp.tid()
     measure_scheduled(
-        thread, lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, to
+        thread, lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, 1, 1, to
     )
 
 
@@ -205,6 +205,9 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | 
         most=most,
         split_length=NO_SPLITS,
         list_bricks_below=0,
+        # What a pass has of the pool is counted by groups of one a block.
+        block_shares=1,
+        block_parts=1,
         chunks=chunks,
         blocks=8 * most,
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.bvh.rank_sort import RankSort, bucket_of, is_ranked
 from sdm.kernels.bvh.tree import (
     BY_FACES,
     DIAGONAL,
@@ -36,7 +37,7 @@ from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits
 from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import LIGHT_SHARE, launch
 from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
-from sdm.kernels.primitives.atomics import lessen
+from sdm.kernels.primitives.atomics import fetch_add, lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
 from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
 from sdm.kernels.primitives.vector_loads import read4, write4
@@ -185,11 +186,15 @@ def _make_short_keys(
     numbered: int,
     keys: wp.array(dtype=wp.int32),
     slots: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
 ):
     i = begin + wp.tid()
     key, f = sorting_key(tree, vertices, faces, bounds, bits, numbered, i)
     keys[i] = wp.int32(key)
     slots[i] = f
+    # See `rank_sort`.
+    if counts.shape[0] > 0 and i < tree_of(tree, 0).count:
+        fetch_add(counts, bucket_of(key, 3 * bits), 1)
 
 
 @wp.kernel
@@ -350,13 +355,21 @@ def build_in_frame(
     bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
     # The meshes' numbers are above the curve's codes.
     all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
-    kernel: Any = _make_keys
-    if short_keys(total, all_bits) if device.is_cuda else all_bits <= SHORT_BITS:
-        kernel, keys = _make_short_keys, array_at(keys.ptr, (2 * total,), wp.int32, device.alias)
-    inputs = [tree, vertices, faces, bounds, bits, int(not fillers), keys, slots]
-    launch(kernel, total, inputs, device, smallest=LIGHT_SHARE)
-    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=all_bits)
-    launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device, smallest=LIGHT_SHARE)
+    inputs = [tree, vertices, faces, bounds, bits, int(not fillers)]
+    order = slots
+    if device.is_cuda and is_ranked(total, meshes, fillers, all_bits):
+        ranks = RankSort(keys, slots, all_bits)
+        inputs += [ranks.short, slots, ranks.counts]
+        launch(_make_short_keys, total, inputs, device, smallest=LIGHT_SHARE)
+        order = ranks.order(tree)
+    elif short_keys(total, all_bits) if device.is_cuda else all_bits <= SHORT_BITS:
+        short, none = (array_at(keys.ptr, (n,), wp.int32, device.alias) for n in (2 * total, 0))
+        launch(_make_short_keys, total, [*inputs, short, slots, none], device, smallest=LIGHT_SHARE)
+        wp.utils.radix_sort_pairs(short, slots, total, end_bit=all_bits)
+    else:
+        launch(_make_keys, total, [*inputs, keys, slots], device, smallest=LIGHT_SHARE)
+        wp.utils.radix_sort_pairs(keys, slots, total, end_bit=all_bits)
+    launch(_gather_triangles, total, [vertices, faces, order, tree, normals], device, smallest=LIGHT_SHARE)
     if gathered is not None:
         gathered()
     level = tree.depth + 1

@@ -33,6 +33,21 @@ def splits_of(code: int):
     return 1 + (code >> (CELL_BITS + SPLIT_BITS))
 
 
+@wp.func
+def any_groups(groups: int):
+    """Groups of lanes that share a block, as a kernel is told."""
+    return groups
+
+
+@wp.func
+def one_group(groups: int):
+    """The one group of most blocks: so a compiler leaves out what several ask."""
+    return 1
+
+
+BY_GROUPS = any_groups, one_group
+
+
 @wp.struct
 class BlockSchedule:
     """Cells and which split of their lists, in codes: see `cell_of`, `split_of` and `splits_of`."""
@@ -43,6 +58,7 @@ class BlockSchedule:
     split_cells: wp.array(dtype=wp.int32)  # (8 * regions) the cells whose lists are cut into splits
     lacking: wp.array(dtype=wp.int32)  # (8 * regions) of those, 1 where the pool ran out for one of the splits
     counters: wp.array(dtype=wp.int32)  # (COUNTS) of the pass, see `counters`
+    parts: wp.int32  # groups of lanes that measure each block, some of its octants each: 1, 2, 4 or 8
 
 
 @wp.func

@@ -51,6 +51,10 @@ NO_SPLITS = 1 << 30
 # Voxels along the longest axis of a slab from which on its bricks are hardly ever too coarse for float32; and longer
 # than any.
 FINE, ALL_COARSE = 128, 1 << 30
+# Groups of lanes that are enough to make lists of features, or to measure blocks. And up to which triangles of a cell's
+# list, on average, up to how many work at one block: each works all features of its octants out anew, which costs more
+# than it saves where these are many. It decides about no bits.
+BUSY, GROUPS_OF_BLOCK = 1 << 11, ((160.0, 4), (600.0, 2))
 # Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
 THINNEST_SLAB = 32
 # Longer lists than this, on average, cost more than one search a voxel (see bench/decisions/0012-search-or-cells.md).
@@ -144,6 +148,22 @@ def split_length_for(triangles: int, depth: int, cells: int) -> int:
     if cells > FEW_CELLS:
         return LONG_SPLIT
     return max(GPU_LANES, 1 << max(0, round(math.log2(SHORT_SPLIT / triangles) + depth)))
+
+
+def groups_of_block(blocks: int, length: float) -> int:
+    """Groups of lanes of a GPU for each of so many blocks, of cells whose lists have `length` triangles."""
+    groups, most = 1, next((most for limit, most in GROUPS_OF_BLOCK if length <= limit), 1)
+    while groups < most and 2 * groups * blocks <= BUSY:
+        groups *= 2
+    return groups
+
+
+def shares_and_parts(triangles: int, shape: Sequence[int], regions: int, cell: int) -> tuple[int, int]:
+    """Groups of lanes of a GPU that make the list of features of a block, and that measure one."""
+    length = expected_list(triangles, shape, int(BLOCK))
+    # A region has eight cells, which are measured as they are, or by bricks.
+    lists = 8 * regions
+    return groups_of_block(lists, length), groups_of_block(8 * lists if cell > int(BLOCK) else lists, length)
 
 
 def without_idle_splits(split_length: int, depth: int) -> int:

@@ -22,6 +22,7 @@ from sdm.kernels.dense.cost_model import (
     passes_for,
     pool_for,
     search_is_faster,
+    shares_and_parts,
     shares_of,
     split_length_for,
     uneven_room,
@@ -64,6 +65,8 @@ class Plan:
         region_shares: Groups of lanes that make the candidate list of a region: a power of two.
         cell_shares: The same for a cell: as many, or a power of two less.
         levels_left_out: Last levels of the tree that candidate lists do without.
+        block_shares: Groups of lanes that make the list of features of a block.
+        block_parts: Groups of lanes that measure a block, some of its octants each.
         split_length: Leaves of a cell's candidate list that one group of lanes takes.
         chunks: Chunks of the pool of candidate lists.
         blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
@@ -80,6 +83,8 @@ class Plan:
     region_shares: int
     cell_shares: int
     levels_left_out: int
+    block_shares: int
+    block_parts: int
     split_length: int
     chunks: int
     blocks: int
@@ -139,6 +144,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     chunks = entries // CHUNK
     by_option = ALL_COARSE if options.list_bricks else 0
     below = (FINE if gpu else 0) if options.list_bricks is None else by_option
+    block_shares, block_parts = shares_and_parts(work.triangles, shape, total, cell) if gpu else (1, 1)
     return Plan(
         method=method,
         cell=cell,
@@ -149,6 +155,8 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         region_shares=region_shares,
         cell_shares=cell_shares,
         levels_left_out=left_out,
+        block_shares=options.block_shares or block_shares,
+        block_parts=options.block_parts or block_parts,
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
@@ -185,6 +193,10 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
     entries = options.pool_entries or pool_for(expected / total, total, memory)
     passes = passes_for(expected / total, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
     most, chunks = -(-total // passes), entries // CHUNK
+    groups = [(1, 1)]
+    if memory is not None:
+        groups = [shares_and_parts(work.triangles, work.shape, total, plans[0].cell) for work in works]
+    block_shares, block_parts = min(groups)
     return replace(
         plans[0],
         regions=(0, 0, 0),
@@ -194,6 +206,8 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         passes=passes,
         most=most,
         levels_left_out=max(plan.levels_left_out for plan in plans),
+        block_shares=options.block_shares or block_shares,
+        block_parts=options.block_parts or block_parts,
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,

@@ -23,10 +23,10 @@ from sdm.kernels.dense.stage5_select import SELECT_BLOCKS_PER_SM, select_feature
 from sdm.kernels.dense.stage6_measure import measure_blocks, scratch_rows
 from sdm.kernels.dense.stage7_merge import SPLIT_BLOCKS_PER_SM, begin_split, end_split
 from sdm.kernels.dense.voxel_search import mend_slab, search_slab
-from sdm.kernels.dense.workspace import make_workspace
+from sdm.kernels.dense.workspace import Workspace, make_workspace
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import set_array, threads
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_GROUPS, GPU_LANES, gpu_workers
 from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.kernels.winding.winding_number import Winding
@@ -161,10 +161,12 @@ def run_stages(
     join_winding: Callable[[], None],
     own: OwnStages | None = None,
     pending: Pending = MADE,
+    begun: Workspace | None = None,
 ) -> None:
     """The seven stages, pass by pass, and a search for what found no room; see `query_slab`.
 
-    `join_winding` is called before winding numbers are looked at.
+    `join_winding` is called before winding numbers are looked at. `begun` is the plan's workspace, if there is one
+    whose first pass has begun.
     """
     whole, frames, features, cones = surface
     tree = coarser(whole, plan.levels_left_out) if plan.levels_left_out > 0 else whole
@@ -174,10 +176,14 @@ def run_stages(
     has_splits = plan.split_length < NO_SPLITS
     find, measure, mend = own or (find_witnesses, measure_blocks, mend_slab)
 
-    def workers(blocks_per_sm: int) -> int:
-        return gpu_workers(device, blocks_per_sm) if gpu else 16 * threads()
+    def workers(blocks_per_sm: int, items: int | None = None) -> int:
+        """Groups of lanes, of a GPU no more than there are items: each asks for one, one after the other."""
+        if not gpu:
+            return 16 * threads()
+        most = gpu_workers(device, blocks_per_sm)
+        return most if items is None else min(most, -(-items // GPU_GROUPS) * GPU_GROUPS)
 
-    work = make_workspace(plan, empty)
+    work = begun or make_workspace(plan, empty)
     grid, pool, cache, schedule = work.grid, work.pool, work.cache, work.schedule
     regions, cells, shares, blocks = work.regions, work.cells, work.share_witnesses, work.blocks
     # On a GPU they are in shared memory.
@@ -186,16 +192,16 @@ def run_stages(
     merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
     set_array(out, "missed", work.missed)
     for first in range(plan.passes):
-        work.begin_pass(plan, first)
-        find(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)
+        if first > 0 or begun is None:
+            work.begin_pass(plan, first)
+        most = plan.most
+        find(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM, most), lanes)
         if first == 0:
             pending.cones()
-        list_regions(
-            tree, frames, cones, slab, grid, cache, pool, regions, stacks, workers(REGION_BLOCKS_PER_SM), lanes
-        )
-        list_cells(
-            tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, workers(CELL_BLOCKS_PER_SM), lanes
-        )
+        at_work = workers(REGION_BLOCKS_PER_SM, most * plan.region_shares)
+        list_regions(tree, frames, cones, slab, grid, cache, pool, regions, stacks, at_work, lanes)
+        at_work = workers(CELL_BLOCKS_PER_SM, 8 * most * plan.cell_shares)
+        list_cells(tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, at_work, lanes)
         if first == 0:
             pending.features()
         schedule_blocks(
@@ -210,7 +216,7 @@ def run_stages(
             cache,
             schedule,
             plan.split_length,
-            workers(SCHEDULE_BLOCKS_PER_SM),
+            workers(SCHEDULE_BLOCKS_PER_SM, 8 * most),
             lanes,
         )
         if has_splits:

@@ -9,6 +9,8 @@ This is apart from stage 6 because a GPU's caches hold either's instructions, bu
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of, tree_of
@@ -33,7 +35,15 @@ from sdm.kernels.culling.witness_bound import (
     write_witness,
 )
 from sdm.kernels.dense.block.voxels import Block
-from sdm.kernels.dense.block_schedule import BlockSchedule, cell_of, split_of, splits_of, whole_block, whole_blocks
+from sdm.kernels.dense.block_schedule import (
+    BY_GROUPS,
+    BlockSchedule,
+    cell_of,
+    split_of,
+    splits_of,
+    whole_block,
+    whole_blocks,
+)
 from sdm.kernels.dense.cell_cache import CellCache, cached_box, cached_half2
 from sdm.kernels.dense.chunk_pool import (
     CandidateLists,
@@ -166,10 +176,15 @@ def select_for(
     block: Block,
     stack: wp.array(dtype=wp.int32),
     chain: Chain,
+    share: int,
+    shares: int,
     lane: int,
     lanes: int,
 ):
-    """Add the features that matter to a block of the cell `number` to a chain, which is returned."""
+    """Add the features that matter to a block of the cell `number` to a chain, which is returned.
+
+    Those of one of `shares` of the leaves of each batch, which is that of so many of the lanes.
+    """
     # Read again wherever it is needed, as registers are few.
     leaves = 1 << tree_of(tree, block.mesh).depth
     reader = start_reading(cells, number * cells.shares, cells.shares)
@@ -210,7 +225,7 @@ def select_for(
             leaf = upcoming
             reader = read_on(pool, cells, reader, lanes)
             upcoming = read_entry(pool, reader, lane)
-            keep = leaf >= 0 and batch % block.splits == block.split
+            keep = leaf >= 0 and batch % block.splits == block.split and lane % shares == share
             if keep:
                 base = nodes_of(tree_of(tree, block.mesh), block.mesh)
                 if (1 << block.bits) < grid.cell:
@@ -230,79 +245,98 @@ def select_for(
     return chain
 
 
-@wp.kernel(launch_bounds=(128, SELECT_BLOCKS_PER_SM))
-def _select_features(
-    begin: int,
-    lanes: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    features: Features,
-    cones: Cones,
-    slab: Slab,
-    grid: RegionGrid,
-    pool: ChunkPool,
-    cells: CandidateLists,
-    cache: CellCache,
-    schedule: BlockSchedule,
-    blocks: CandidateLists,
-    stacks: wp.array(dtype=wp.int32),
-):
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    bricks = 8 * schedule.counters[COARSE]
-    total = bricks + whole_blocks(schedule)
-    stack = stack_of(stacks, thread / lanes)
-    item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
-    while item < total:
-        block, number = block_of(tree, slab, grid, cache, schedule, item, bricks, -1)
-        within = is_within(slab_of(slab, block.mesh), block.start)
-        head = int(-1)
-        lacking = False
-        chain = Chain()
-        chain.chunk = pool.chunks
-        length = list_length(cells, number * cells.shares, cells.shares)
-        if within and length > 0 and block.known.distance2 < LARGEST_SQUARE:
-            if not is_coarse(block.box):
-                if item < bricks:
-                    block.known = find_brick_witness(
-                        tree_of(tree, block.mesh),
-                        frames,
+def _select_features_kernel(of_groups: Any, module: str | None = None) -> Any:
+    @wp.kernel(launch_bounds=(128, SELECT_BLOCKS_PER_SM), enable_backward=False, module=module)
+    def _select_features(
+        begin: int,
+        lanes: int,
+        tree: Tree,
+        frames: wp.array(dtype=wp.float32),
+        features: Features,
+        cones: Cones,
+        slab: Slab,
+        grid: RegionGrid,
+        pool: ChunkPool,
+        cells: CandidateLists,
+        cache: CellCache,
+        schedule: BlockSchedule,
+        blocks: CandidateLists,
+        stacks: wp.array(dtype=wp.int32),
+    ):
+        thread = begin + wp.tid()
+        lane = thread % lanes
+        bricks = 8 * schedule.counters[COARSE]
+        total = bricks + whole_blocks(schedule)
+        groups = of_groups(blocks.shares)
+        stack = stack_of(stacks, thread / lanes)
+        item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
+        while item < total * groups:
+            listed = item / groups
+            # Of bricks, which look for a witness first, one group makes the whole list.
+            share = item % groups
+            shares = wp.where(listed < bricks, 1, groups)
+            block, number = block_of(tree, slab, grid, cache, schedule, listed, bricks, -1)
+            within = is_within(slab_of(slab, block.mesh), block.start)
+            head = int(-1)
+            lacking = False
+            chain = Chain()
+            chain.chunk = pool.chunks
+            length = list_length(cells, number * cells.shares, cells.shares)
+            if share >= shares:
+                # An empty part of the list.
+                head = 0
+            if within and length > 0 and block.known.distance2 < LARGEST_SQUARE and share < shares:
+                if not is_coarse(block.box):
+                    if listed < bricks:
+                        block.known = find_brick_witness(
+                            tree_of(tree, block.mesh),
+                            frames,
+                            features,
+                            grid,
+                            pool,
+                            cells,
+                            cache,
+                            listed,
+                            number,
+                            block,
+                            lane,
+                            lanes,
+                        )
+                    head = pool.reserved + fetch_add_once(pool.counters, NEXT_CHUNK, 1, lane)
+                    chain.chunk = head
+                    chain = select_for(
+                        tree,
                         features,
+                        cones,
                         grid,
                         pool,
                         cells,
-                        cache,
-                        item,
                         number,
                         block,
+                        stack,
+                        chain,
+                        share,
+                        shares,
                         lane,
                         lanes,
                     )
-                head = pool.reserved + fetch_add_once(pool.counters, NEXT_CHUNK, 1, lane)
-                chain.chunk = head
-                chain = select_for(
-                    tree,
-                    features,
-                    cones,
-                    grid,
-                    pool,
-                    cells,
-                    number,
-                    block,
-                    stack,
-                    chain,
-                    lane,
-                    lanes,
-                )
-                lacking = chain.chunk >= pool.chunks
-        if lane == 0:
-            if lacking and block.splits > 1:
-                # What the other splits come to is not all. Bricks that are too coarse lack nothing: no split measures
-                # them, and if the cell's other bricks were searched with them, bits would depend on splits.
-                schedule.lacking[number] = 1
-            blocks.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
-            blocks.lengths[item] = chain.length
-        item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
+                    lacking = chain.chunk >= pool.chunks
+            if lane == 0:
+                if lacking and block.splits > 1:
+                    # What the other splits come to is not all. Bricks that are too coarse lack nothing: no split
+                    # measures them, and if the cell's other bricks were searched with them, bits would depend on
+                    # splits.
+                    schedule.lacking[number] = 1
+                blocks.heads[item] = wp.where(chain.chunk < pool.chunks or share >= shares, head, -1)
+                blocks.lengths[item] = chain.length
+            item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
+
+    return _select_features
+
+
+_SELECT_FEATURES = _select_features_kernel(BY_GROUPS[1])
+# In a module of its own, so that who has no small maps does not wait until it is compiled.
+_SELECT_SHARES = _select_features_kernel(BY_GROUPS[0], "unique")
 
 
 def select_features(
@@ -327,4 +361,5 @@ def select_features(
     work; `stacks` is scratch, see `shared_stacks`.
     """
     inputs = [lanes, tree, frames, features, cones, slab, grid, pool, cells, cache, schedule, blocks, stacks]
-    launch(_select_features, workers * lanes, inputs, frames.device, smallest=1)
+    kernel = _SELECT_FEATURES if blocks.shares == 1 else _SELECT_SHARES
+    launch(kernel, workers * lanes, inputs, frames.device, smallest=1)

@@ -39,9 +39,17 @@ from sdm.kernels.dense.block.winners import (
     note_feature,
     worker_scratch,
 )
-from sdm.kernels.dense.block_schedule import BlockSchedule, whole_blocks
+from sdm.kernels.dense.block_schedule import BY_GROUPS, BlockSchedule, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache
-from sdm.kernels.dense.chunk_pool import CandidateLists, ChunkPool, Reader, read_entry, read_on, start_reading
+from sdm.kernels.dense.chunk_pool import (
+    CandidateLists,
+    ChunkPool,
+    Reader,
+    list_length,
+    read_entry,
+    read_on,
+    start_reading,
+)
 from sdm.kernels.dense.counters import COARSE, NEXT_BLOCK
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.dense.stage5_select import block_of
@@ -119,19 +127,24 @@ def measure_block(
     stack: wp.array(dtype=wp.int32),
     out: Output,
     block: Block,
+    octants: int,
+    parts: int,
+    shares: int,
     winners: Any,
     lane: int,
     lanes: int,
 ):
-    """Measure a block from the features of list `item`; without one, every voxel is missed."""
+    """Measure a block's `octants` (bits) from the features of list `item`; without one, every voxel is missed.
+
+    They are one of so many `parts`, and the list has so many `shares`.
+    """
     write_coordinates(tree, slab, scratch, block, lane, lanes)
-    begin_block(slab, out, scratch, block, winners, lane, lanes)
-    octants = octants_in_slab(slab, block.start, block.bits)
+    begin_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
     reader = Reader()
-    if blocks.heads[item] >= 0:
-        reader = start_reading(blocks, item, 1)
+    if list_length(blocks, item * shares, shares) >= 0:
+        reader = start_reading(blocks, item * shares, shares)
     # Each batch is read while the one before is worked out.
     upcoming = read_entry(pool, reader, lane)
     corners = int(0)
@@ -172,10 +185,17 @@ def measure_block(
             wait_for_lanes()
             measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, winners, lane, lanes)
         wait_for_lanes()
-    unclear = end_block(slab, out, scratch, block, winners, lane, lanes)
+    unclear = end_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)
     wait_for_lanes()
+
+
+@wp.func
+def octants_of_part(part: int, parts: int):
+    """The octants of a block, as bits, that are one of its parts."""
+    each = 8 / parts
+    return ((1 << each) - 1) << (part * each)
 
 
 @wp.func
@@ -193,33 +213,53 @@ def measure_scheduled(
     scratch: wp.array(dtype=wp.float32),
     stacks: wp.array(dtype=wp.int32),
     out: Output,
+    parts: int,
+    shares: int,
     winners: Any,
 ):
-    """Measure one block after the other, as long as there are any."""
+    """Measure one block after the other, as long as there are any: each in so many `parts`, from a list of `shares`."""
     lane = thread % lanes
     worker = thread / lanes
     bricks = 8 * schedule.counters[COARSE]
     # Cells of more voxels than a block are measured brick by brick.
     times = wp.where(grid.cell > BLOCK, 8, 1)
-    total = bricks + times * whole_blocks(schedule)
+    total = parts * (bricks + times * whole_blocks(schedule))
     item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
     while item < total:
-        listed = int(item)
+        listed = item / parts
         eighth = int(-1)
-        if item >= bricks and times > 1:
-            listed = bricks + (item - bricks) / 8
-            eighth = (item - bricks) % 8
+        if listed >= bricks and times > 1:
+            eighth = (listed - bricks) % 8
+            listed = bricks + (listed - bricks) / 8
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         here = slab_of(slab, block.mesh)
-        if is_within(here, block.start) and is_wanted(winners, block.start):
+        octants = octants_in_slab(here, block.start, block.bits) & octants_of_part(item % parts, parts)
+        if octants != 0 and is_within(here, block.start) and is_wanted(winners, block.start):
             own = worker_scratch(scratch, worker, winners)
             stack = small_stack_of(stacks, worker)
-            measure_block(tree, features, here, pool, blocks, listed, own, stack, out, block, winners, lane, lanes)
+            measure_block(
+                tree,
+                features,
+                here,
+                pool,
+                blocks,
+                listed,
+                own,
+                stack,
+                out,
+                block,
+                octants,
+                parts,
+                shares,
+                winners,
+                lane,
+                lanes,
+            )
         item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 
-def _measure_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
-    @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _measure_blocks_kernel(of_faces: Any, of_grid: Any, of_groups: Any, module: str | None = None) -> Any:
+    @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module=module)
     def _measure_blocks(
         begin: int,
         lanes: int,
@@ -252,16 +292,22 @@ def _measure_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
             scratch,
             stacks,
             out,
+            of_groups(schedule.parts),
+            of_groups(blocks.shares),
             NO_WINNERS,
         )
 
     return _measure_blocks
 
 
-_MEASURE_BLOCKS = [_measure_blocks_kernel(*own) for own in zip(BY_FACES, BY_GRID, strict=True)]
+_MEASURE_BLOCKS = [_measure_blocks_kernel(*own, BY_GROUPS[1]) for own in zip(BY_FACES, BY_GRID, strict=True)]
 
 
-# In a module of its own, so that who does not ask for closest points does not wait until it is compiled.
+# In modules of their own, so that who does not ask for them does not wait until they are compiled: small maps, whose
+# blocks are shared out, and closest points.
+_MEASURE_PARTS = _measure_blocks_kernel(BY_FACES[0], BY_GRID[0], BY_GROUPS[0], "unique")
+
+
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique")
 def _measure_winners(
     begin: int,
@@ -293,6 +339,8 @@ def _measure_winners(
         scratch,
         stacks,
         out,
+        schedule.parts,
+        blocks.shares,
         out.winners,
     )
 
@@ -327,5 +375,6 @@ def measure_blocks(
     """
     inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, *more]
     alike = not (tree.meshes or slab.meshes)
-    chosen = kernel or (_measure_winners if out.winners.shape[0] else _MEASURE_BLOCKS[alike])
+    plain = _MEASURE_PARTS if schedule.parts > 1 or blocks.shares > 1 else _MEASURE_BLOCKS[alike]
+    chosen = kernel or (_measure_winners if out.winners.shape[0] else plain)
     launch(chosen, workers * lanes, inputs, out.values.device, smallest=1)

@@ -111,12 +111,12 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     set_array(cache, "boxes", empty(8 * most * (9 if plan.cell > BLOCK else 1) * BOX_FLOATS, wp.float32))
     share_witnesses = empty(8 * most * plan.cell_shares * 4, wp.float32)
     schedule = BlockSchedule()
-    schedule.room = room
+    schedule.room, schedule.parts = room, plan.block_parts
     set_array(schedule, "whole", empty(LENGTHS * room, wp.int32))
     set_array(schedule, "coarse", empty(room, wp.int32))
     set_array(schedule, "split_cells", empty(8 * most, wp.int32))
     set_array(schedule, "lacking", empty(8 * most, wp.int32))
-    blocks = _lists(9 * room, 1, empty)
+    blocks = _lists(9 * room, plan.block_shares, empty)
     pool = ChunkPool()
     pool.chunks = plan.chunks
     set_array(pool, "entries", empty(plan.chunks * CHUNK, wp.int32))

@@ -144,13 +144,16 @@ def twos_of(block: Block):
 
 
 @wp.func
-def read_windings(slab: Slab, out: Output, scratch: wp.uint64, block: Block, lane: int, lanes: int):
-    """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
+def read_windings(
+    slab: Slab, out: Output, scratch: wp.uint64, block: Block, octants: int, parts: int, lane: int, lanes: int
+):
+    """Begin to read the winding numbers of a block's octants: they take a while to come, and are needed at the end."""
     four = lane
     while 2 * four < twos_of(block):
         at = two_at(four + (four & ~3))
         index = voxel_index(slab, block, at)
-        if index >= 0:
+        # An octant has 64 voxels.
+        if index >= 0 and (parts == 1 or (octants >> (four >> 4) & 1) != 0):
             count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
             begin_reading(scratch, four, out.values, index, count, slab.shape[2] % 4 == 0)
         four = four + lanes
@@ -164,8 +167,10 @@ def distance_of(block: Block, value: float):
 
 
 @wp.func
-def write_voxels(slab: Slab, out: Output, scratch: wp.uint64, block: Block, lane: int, lanes: int):
-    """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
+def write_voxels(
+    slab: Slab, out: Output, scratch: wp.uint64, block: Block, octants: int, parts: int, lane: int, lanes: int
+):
+    """Write the distances of all voxels of a block's measured octants; returns how many have unclear winding numbers.
 
     They are infinite where none was found, and left to the search.
     """
@@ -178,7 +183,7 @@ def write_voxels(slab: Slab, out: Output, scratch: wp.uint64, block: Block, lane
     while two < twos_of(block):
         at = two_at(two)
         index = voxel_index(slab, block, at)
-        if index >= 0:
+        if index >= 0 and (parts == 1 or (octants >> (two >> 5) & 1) != 0):
             least = values_of(scratch, two)
             winding = windings_of(scratch, two)
             first = distance_of(block, least[0])

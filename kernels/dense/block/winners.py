@@ -134,15 +134,33 @@ def worker_scratch(  # noqa: F811
 
 
 @wp.func
-def begin_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: int, lane: int, lanes: int):
+def begin_block(
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    octants: int,
+    parts: int,
+    winners: int,
+    lane: int,
+    lanes: int,
+):
     """No voxel of the block has a value yet; its winding numbers are on their way."""
     clear_values(scratch, lane, lanes)
-    read_windings(slab, out, scratch, block, lane, lanes)
+    read_windings(slab, out, scratch, block, octants, parts, lane, lanes)
 
 
 @wp.func
 def begin_block(  # noqa: F811
-    slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: BlockOutput, lane: int, lanes: int
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    octants: int,
+    parts: int,
+    winners: BlockOutput,
+    lane: int,
+    lanes: int,
 ):
     clear_values(scratch, lane, lanes)
 
@@ -153,6 +171,8 @@ def begin_block(  # noqa: F811
     out: Output,
     scratch: wp.uint64,
     block: Block,
+    octants: int,
+    parts: int,
     winners: wp.array(dtype=wp.int32),
     lane: int,
     lanes: int,
@@ -278,14 +298,32 @@ def as_float(bits: int) -> float: ...
 
 
 @wp.func
-def end_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: int, lane: int, lanes: int):
+def end_block(
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    octants: int,
+    parts: int,
+    winners: int,
+    lane: int,
+    lanes: int,
+):
     """Write what was found of all voxels of a measured block; returns how many have unclear winding numbers."""
-    return write_voxels(slab, out, scratch, block, lane, lanes)
+    return write_voxels(slab, out, scratch, block, octants, parts, lane, lanes)
 
 
 @wp.func
 def end_block(  # noqa: F811
-    slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: BlockOutput, lane: int, lanes: int
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    octants: int,
+    parts: int,
+    winners: BlockOutput,
+    lane: int,
+    lanes: int,
 ):
     unclear = int(0)
     missed = int(0)
@@ -297,7 +335,8 @@ def end_block(  # noqa: F811
             v = block.start + two_at(two) + wp.vec3i(0, 0, second)
             at = first_kept(winners, v)
             s = winners.shifts
-            if is_within(slab, v) and wp.vec3i(at[0] << s[0], at[1] << s[1], at[2] << s[2]) == v:
+            mine = is_within(slab, v) and (parts == 1 or (octants >> (two >> 5) & 1) != 0)
+            if mine and wp.vec3i(at[0] << s[0], at[1] << s[1], at[2] << s[2]) == v:
                 distance = distance_of(block, least[second])
                 missed = missed + wp.where(distance < float(wp.inf), 0, 1)
                 unclear = unclear + put_in_block(winners, place, inner_of(at), distance)
@@ -313,6 +352,8 @@ def end_block(  # noqa: F811
     out: Output,
     scratch: wp.uint64,
     block: Block,
+    octants: int,
+    parts: int,
     winners: wp.array(dtype=wp.int32),
     lane: int,
     lanes: int,
@@ -325,7 +366,7 @@ def end_block(  # noqa: F811
     while two < twos_of(block):
         at = two_at(two)
         index = voxel_index(slab, block, at)
-        if index >= 0:
+        if index >= 0 and (parts == 1 or (octants >> (two >> 5) & 1) != 0):
             found = pair_of(scratch, two)
             first = distance_of(block, as_float(found[0]))
             second = distance_of(block, as_float(found[1]))

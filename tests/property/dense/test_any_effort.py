@@ -23,6 +23,8 @@ efforts = st.fixed_dictionaries(
         "split_length": st.sampled_from([1, 2, 7, 30, 10**6]),
         "levels_left_out": st.integers(0, 2),
         "shares": st.sampled_from([(1, 1), (4, 2), (16, 8)]),
+        "block_shares": st.sampled_from([1, 4]),
+        "block_parts": st.sampled_from([1, 2, 8]),
         "cell": st.sampled_from([8, 16]),
         "most_regions": st.sampled_from([1, 3, 1 << 15]),
         "most_columns": st.sampled_from([1, 9, 1 << 30]),

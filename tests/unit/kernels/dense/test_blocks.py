@@ -206,6 +206,18 @@ def test_slices_change_no_bit(seen, name):
         assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
 
 
+@pytest.mark.parametrize("groups", [(1, 2), (1, 8), (4, 1), (3, 4)])
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_groups_of_a_block_change_no_bit(seen, name, groups):
+    """Several groups make its list, and measure it: cells of both sizes, in splits too, and coarse bricks."""
+    mesh = mesh_of(name)
+    sizes = {"block_shares": groups[0], "block_parts": groups[1]}
+    for grid in (grid_of(name, mesh), sdm.Grid.around(mesh, resolution=14)):
+        for cell, split_length in ((8, 10**6), (8, 7), (16, 13)):
+            plain = values_of(mesh, grid, cell=cell, split_length=split_length)
+            assert_same_bits(values_of(mesh, grid, cell=cell, split_length=split_length, **sizes), plain, sizes)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_slices_change_no_bit_beside_bricks_that_are_too_coarse(seen, name):
     """The grid's end cuts cells so that some of their bricks are narrow enough to be measured, and others are not."""

@@ -6,6 +6,7 @@ import pytest
 
 from sdm.kernels.bvh.tree import LARGEST_LEAF, depth_for
 from sdm.kernels.dense.cost_model import (
+    BUSY,
     FEW_CELLS,
     LARGEST_POOL,
     LONG_SPLIT,
@@ -17,6 +18,7 @@ from sdm.kernels.dense.cost_model import (
     passes_for,
     pool_for,
     search_is_faster,
+    shares_and_parts,
     shares_of,
     split_length_for,
 )
@@ -51,6 +53,18 @@ def test_lists_are_shared_where_they_are_few_or_long():
         assert shares_of(1_000_000, [256] * 3, 8)[of] > 1
         # Small maps come in batches.
         assert 1 < shares_of(20_000, [64] * 3, 8)[of] < more
+
+
+def test_few_blocks_with_short_lists_have_several_groups_each():
+    small, large = [64] * 3, [256] * 3
+    assert shares_and_parts(1_000, small, 64, 8) == shares_and_parts(4_863, small, 64, 8) == (4, 4)
+    assert shares_and_parts(20_480, small, 64, 8) == (2, 2)
+    assert shares_and_parts(50_000, small, 64, 8) == shares_and_parts(1_000, large, 4096, 8) == (1, 1)
+    # Bricks of larger cells are measured by themselves.
+    assert shares_and_parts(1_000, [128] * 3, 64, 16) == (4, 1)
+    for regions in (1, 30, 64, 100, 500):
+        groups, _ = shares_and_parts(1_000, small, regions, 8)
+        assert groups == 1 or 8 * regions * groups <= BUSY
 
 
 @pytest.mark.parametrize("n", [16, 64, 200, 512, 1024])

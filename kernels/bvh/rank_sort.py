@@ -1,0 +1,185 @@
+"""Order of a mesh's triangles by their keys, where they are few: each counts those before it.
+
+A radix sort of 20,000 keys takes a GPU ten launches one after the other, of 5,000 one that keeps a single
+multiprocessor busy. Here of few each compares itself with all; of more with those of its bucket, by its key's first
+bits, which are counted while keys are made. Of equal keys the first face is first, as in a radix sort: the order is
+the same.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree, tree_of
+from sdm.kernels.launch import LIGHT_SHARE, launch
+from sdm.kernels.launches.arrays import array_at
+from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import GPU_LANES, int_from_lane, sum_of_lanes
+
+wp.set_module_options({"enable_backward": False})
+
+# Most triangles that compare themselves with all others, and that are sorted here at all: if all were in one bucket, of
+# more each would be compared with too many.
+COMPARED, LARGEST = 4864, 20_481
+# Bits of a key that tell its bucket.
+BUCKET_BITS = 10
+BUCKETS = wp.constant(1 << BUCKET_BITS)
+
+
+@wp.kernel
+def _rank(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    keys: wp.array(dtype=wp.int32),
+    slots: wp.array(dtype=wp.int32),
+    ordered: wp.array(dtype=wp.int32),
+):
+    """A group of lanes for each slot. Those behind the first mesh's only fill room, and stay where they are."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    slot = thread / lanes
+    own = tree_of(tree, 0).count
+    if slot >= own:
+        if lane == 0:
+            ordered[slot] = slots[slot]
+        return
+    key = keys[slot]
+    before = int(0)
+    other = lane
+    while other < own:
+        its = keys[other]
+        if its < key or (its == key and other < slot):
+            before = before + 1
+        other = other + lanes
+    # Small numbers, which floats hold exactly.
+    before = int(sum_of_lanes(float(before)))
+    if lane == 0:
+        ordered[before] = slot
+
+
+@wp.func
+def bucket_of(key: wp.int64, bits: int):
+    """The bucket of a key of so many bits."""
+    return int(key >> wp.int64(bits - BUCKET_BITS))
+
+
+@wp.kernel
+def _begin_buckets(
+    begin: int,
+    lanes: int,
+    counts: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+):
+    """One group of lanes: where each bucket begins, and behind all of them their end; `counts` are the same after."""
+    lane = (begin + wp.tid()) % lanes
+    each = BUCKETS / lanes
+    mine = int(0)
+    for k in range(each):
+        mine = mine + counts[lane * each + k]
+    before = int(0)
+    for other in range(lanes):
+        its = int_from_lane(mine, other)
+        if other < lane:
+            before = before + its
+    for k in range(each):
+        count = counts[lane * each + k]
+        starts[lane * each + k] = before
+        counts[lane * each + k] = before
+        before = before + count
+    if lane == lanes - 1:
+        starts[BUCKETS] = before
+
+
+@wp.kernel
+def _place(
+    begin: int,
+    tree: Tree,
+    bits: int,
+    keys: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    placed: wp.array(dtype=wp.int64),
+):
+    """Each key with its slot behind it, anywhere in its bucket."""
+    slot = begin + wp.tid()
+    if slot < tree_of(tree, 0).count:
+        key = keys[slot]
+        at = fetch_add(counts, bucket_of(wp.int64(key), bits), 1)
+        placed[at] = (wp.int64(key) << wp.int64(32)) | wp.int64(slot)
+
+
+@wp.kernel
+def _rank_in_bucket(
+    begin: int,
+    tree: Tree,
+    bits: int,
+    starts: wp.array(dtype=wp.int32),
+    placed: wp.array(dtype=wp.int64),
+    slots: wp.array(dtype=wp.int32),
+    ordered: wp.array(dtype=wp.int32),
+):
+    number = begin + wp.tid()
+    if number >= tree_of(tree, 0).count:
+        ordered[number] = slots[number]
+        return
+    mine = placed[number]
+    bucket = bucket_of(mine >> wp.int64(32), bits)
+    before = starts[bucket]
+    for other in range(starts[bucket], starts[bucket + 1]):
+        if placed[other] < mine:
+            before = before + 1
+    ordered[before] = int(mine & wp.int64(0x7FFFFFFF))
+
+
+def is_ranked(total: int, meshes: int, fillers: bool, bits: int) -> bool:
+    """True if so many triangles with keys of so many bits are sorted here.
+
+    They are of one mesh, or of one and of `fillers`, which only fill room.
+    """
+    return total <= LARGEST and (meshes == 1 or fillers) and BUCKET_BITS < bits < 32
+
+
+class RankSort:
+    """A sort in the memory of a radix sort.
+
+    Args:
+        keys: (2 * total) int64: to `short`, the first part of their memory, the keys are written.
+        slots: (2 * total) int32, of whose first half slot i of the first mesh will hold i.
+        bits: Of the keys.
+
+    To `counts`, if it has any entries, they are to be added by their buckets.
+    """
+
+    def __init__(self, keys: wp.array, slots: wp.array, bits: int) -> None:
+        device: Any = slots.device
+        self._device, self._bits, self._total = device, bits, slots.shape[0] // 2
+
+        def part(at: int, length: int, dtype: Any) -> Any:
+            return array_at(at, (length,), dtype, device.alias)
+
+        total, buckets = self._total, (1 << BUCKET_BITS) if self._total > COMPARED else 0
+        self.short = part(keys.ptr, total, wp.int32)
+        self._numbers, self._ordered = part(slots.ptr, total, wp.int32), part(slots.ptr + 4 * total, total, wp.int32)
+        self._placed = part(keys.ptr + 8 * (-(-total // 2)), total, wp.int64)
+        behind = self._placed.ptr + 8 * total
+        self.counts = part(behind, buckets, wp.int32)
+        self._starts = part(behind + 4 * buckets, buckets + 1, wp.int32)
+        if buckets:
+            self.counts.zero_()
+
+    def order(self, tree: Tree) -> wp.array:
+        """The numbers in `slots` in the order of their keys."""
+        device, bits, total = self._device, self._bits, self._total
+        lanes = GPU_LANES if device.is_cuda else 1
+        if total <= COMPARED:
+            inputs = [lanes, tree, self.short, self._numbers, self._ordered]
+            launch(_rank, total * lanes, inputs, device, smallest=LIGHT_SHARE)
+            return self._ordered
+        launch(_begin_buckets, lanes, [lanes, self.counts, self._starts], device)
+        inputs = [tree, bits, self.short, self.counts, self._placed]
+        launch(_place, total, inputs, device, smallest=LIGHT_SHARE)
+        inputs = [tree, bits, self._starts, self._placed, self._numbers, self._ordered]
+        launch(_rank_in_bucket, total, inputs, device, smallest=LIGHT_SHARE)
+        return self._ordered
