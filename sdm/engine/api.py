@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, Literal, Unpack, overload
 
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.device import choose_device, memory_guard
+from sdm.core.device import SMALL, choose_device, memory_guard
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
@@ -27,14 +28,15 @@ from sdm.engine.arguments import (
     oriented,
 )
 from sdm.engine.closest_points import Closest
-from sdm.engine.map_check import MapCheck, checked, look_at_points
+from sdm.engine.map_check import MapCheck, checked, look_at_points, one_check
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points, search_needs_tree_alone
 from sdm.engine.repeated_faces import may_be_crowded
+from sdm.runtime import graphs
 from sdm.runtime.host_copy import number_later
 from sdm.runtime.operators import is_eager
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import current_device, has_forward_mode, refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
 
 
@@ -122,8 +124,12 @@ def signed_distance_map(
         mesh = as_mesh(mesh)
     if not isinstance(grid, Grid) or resolution is not None or margin is not None:
         grid = as_grid(grid, mesh, resolution, margin)
+    as_it_is = sign == "winding" and orient == "keep" and hole_size is None and not (compare_signs or return_closest)
+    if as_it_is and mesh.vertices.is_cuda:
+        field = _plain_map(mesh, grid, device)
+        if field is not None:
+            return field
     where = choose_device(device, mesh.vertices)
-    # On a GPU the host's way to the first launch is much of a small map's time.
     plain = sign == "winding" and hole_size is None and not compare_signs
     method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)
     measured = oriented(mesh, orient, where)
@@ -152,6 +158,29 @@ def signed_distance_map(
         # Of an open mesh the host does not wait either.
         field.counted_later(number_later(ambiguous))
     return checked(MapCheck(), field, measured)
+
+
+def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None) -> SDM | None:
+    """The map by winding numbers of a mesh on a GPU as it is, by what replays or records a call, and no more.
+
+    Until the first kernel is launched a GPU waits for the host, which for a small map takes as long as the kernels.
+    None of a mesh elsewhere, with derivatives, and of a large map.
+    """
+    vertices, nbytes = mesh.vertices, 4 * math.prod(grid.shape)
+    if nbytes > SMALL or has_forward_mode() or not graphs.supports(vertices):
+        return None
+    where = vertices.device
+    if device is not None and device != where and (device != "cuda" or where.index != current_device()):
+        return None
+    try:
+        values, ambiguous = mesh_map(vertices, mesh.faces, grid)
+    except torch.OutOfMemoryError:
+        with memory_guard(nbytes, where, partial(described, grid)):
+            raise
+    field, check = SDM(values, grid, 0, sign="winding"), one_check(mesh, "winding")
+    if ambiguous is not None:
+        field.counted_later(number_later(ambiguous))
+    return field if check is None else field.checked_by(check)
 
 
 @overload

@@ -101,7 +101,8 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
         return _unpacked(_known_maps(vertices[None], faces, grid))
     last, kind = guesses.last_numbers(faces, count), None
     # Also of one that has as many as a mesh without room had, but looks closed.
-    if USE_CLASSES and ((last is not None and has_room(last)) or looks_closed(faces.shape[0], count)):
+    fits = last is guesses.CLOSED or (last is not None and has_room(last))
+    if USE_CLASSES and (fits or looks_closed(faces.shape[0], count)):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None:
         replayed = class_map(*kind, vertices, faces, grid)

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch._C import _len_torch_dispatch_stack
 from torch._C._functorch import maybe_current_level
 from torch.library import Library
-from torch.utils._python_dispatch import _get_current_dispatch_mode
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -58,9 +58,7 @@ def is_eager(*tensors: Tensor) -> bool:
 
     Then an operator's implementation may be called directly.
     """
-    if torch.compiler.is_compiling() or _get_current_dispatch_mode() is not None:
-        return False
-    if maybe_current_level() is not None:
+    if torch.compiler.is_compiling() or _len_torch_dispatch_stack() > 0 or maybe_current_level() is not None:
         return False
     gradients = torch.is_grad_enabled()
     # A generator takes as long as all before.

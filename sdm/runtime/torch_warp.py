@@ -46,11 +46,19 @@ def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
             yield device
 
 
-def raw_stream(index: int) -> int:
-    """The handle of a GPU's current stream, 0 of its default one."""
-    # Torch's own compiler asks so; an object takes as long as a launch.
-    ask = getattr(torch._C, "_cuda_getCurrentRawStream", None)
-    return torch.cuda.current_stream(index).cuda_stream if ask is None else ask(index)
+def _raw_stream(index: int) -> int:
+    return torch.cuda.current_stream(index).cuda_stream
+
+
+# The handle of a GPU's current stream, 0 of its default one. Torch's own compiler asks so; an object takes as long as a
+# launch.
+raw_stream: Callable[[int], int] = getattr(torch._C, "_cuda_getCurrentRawStream", _raw_stream)
+# The current GPU's number, where there is a tensor on one, and whether its current stream is being captured: without
+# what torch does before it asks.
+current_device: Callable[[], int] = getattr(torch._C, "_cuda_getDevice", torch.cuda.current_device)
+is_capturing: Callable[[], bool] = getattr(
+    torch._C, "_cuda_isCurrentStreamCapturing", torch.cuda.is_current_stream_capturing
+)
 
 
 def warp_stream(device: torch.device, stream: torch.cuda.Stream) -> wp.Stream:

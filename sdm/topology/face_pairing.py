@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -102,7 +103,14 @@ def remember_closed(faces: Tensor, count: int, around: Tensor, ready: torch.cuda
     if ready is None and around.is_cuda:
         ready = torch.cuda.Event()
         ready.record(torch.cuda.current_stream(around.device))
-    remember(faces, count, Pairing(faces.new_empty((0, 3)), around, ready=ready))
+    remember(faces, count, Pairing(_no_edges(faces.device), around, ready=ready))
+
+
+@lru_cache(maxsize=16)
+def _no_edges(device: torch.device) -> Tensor:
+    """No unmatched edges (0,3): one for all closed meshes, as nobody writes into it."""
+    with torch.inference_mode(False):
+        return torch.empty((0, 3), dtype=torch.int32, device=device)
 
 
 def remember(faces: Tensor, count: int, pairing: Pairing) -> None:

@@ -7,8 +7,9 @@ which know nothing of boundaries.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import torch
@@ -23,6 +24,7 @@ from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_tab
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
+from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
@@ -33,6 +35,7 @@ from sdm.topology.face_pairing import queue_pairing
 
 # See `TableCall`.
 Instead: TypeAlias = Callable[[], "TableCall[ClassMap] | None"]
+Key: TypeAlias = tuple[str, CapacityClass, int]
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
 # Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
@@ -57,7 +60,7 @@ class ClassMap(NamedTuple):
     boundary: Tensor | None = None
 
 
-def class_key(kind: CapacityClass, room: int = 0) -> tuple[str, CapacityClass, int]:
+def class_key(kind: CapacityClass, room: int = 0) -> Key:
     """The key of the calls of a class about closed meshes, or about open ones with room for so many edges."""
     return "open class" if room else "class", kind, room
 
@@ -74,17 +77,17 @@ def class_call(
 
     The flags are of a vertex out of range, twice, and the number of unmatched edges. `instead`: of a `TableCall`.
     """
-    device = faces.device
+    device, count = faces.device, faces.shape[0]
 
     def fill(table: Any) -> ClassMap:
         # Of the inputs' types and device: fewer words for torch to read.
-        values, neighbours = vertices.new_empty(kind.shape), faces.new_empty((faces.shape[0], 4))
+        values, neighbours = vertices.new_empty(kind.shape), faces.new_empty((count, 4))
         at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), 0, neighbours.data_ptr()
-        write_table(table, kind, decisions, faces.shape[0], vertices.shape[0], grid, at)
+        write_table(table, kind, decisions, count, vertices.shape[0], grid, at)
         return ClassMap(values, neighbours)
 
-    key, work = class_key(kind), partial(_queue_closed_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid), instead)
+    key, work, later = _of_class(kind, device, 0)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, instead)
 
 
 def open_class_call(
@@ -101,7 +104,6 @@ def open_class_call(
     The flags are those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
     """
     device, count = faces.device, faces.shape[0]
-
     lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
 
     def fill(table: Any) -> tuple[Tensor, Tensor]:
@@ -116,12 +118,15 @@ def open_class_call(
         neighbours, unmatched, boundary, ambiguous = told.split(lengths)
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(room, 3), boundary)
 
-    key, work = class_key(kind, room), partial(_queue_open_map, kind, room, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid), instead, launched)
+    key, work, later = _of_class(kind, device, room)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, instead, launched)
 
 
-def _later(grid: Grid) -> int:
-    return int(grid.nbytes > LARGE)
+@lru_cache(maxsize=256)
+def _of_class(kind: CapacityClass, device: torch.device, room: int) -> tuple[Key, Callable[..., None], int]:
+    """Key and work of a class's call, and by how many calls its recording is made later."""
+    work = partial(_queue_open_map, kind, room, device) if room else partial(_queue_closed_map, kind, device)
+    return class_key(kind, room), work, int(4 * math.prod(kind.shape) > LARGE)
 
 
 class _Mesh(NamedTuple):
@@ -229,9 +234,14 @@ def _queue_map(
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
         box: Any = as_warp(mesh.bounds, wp.float32)
+        # Counters are zero by then.
+        work = make_workspace(kind.plan, empty)
+        with kernels_beside(values, TELLING) as begun:
+            work.begin_pass(kind.plan, 0)
         unjoined: list[Join] = []
         options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_reset": True}
         fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
+        begun()
         built = fork(device)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
@@ -269,5 +279,5 @@ def _queue_map(
             joins[1]()
 
         beside_winding = partial(kernels_beside, values, WINDING)
-        run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, pending=pending)
+        run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, pending=pending, begun=work)
     return joins[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -12,22 +13,11 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.classes import CapacityClass
-from sdm.kernels.bvh.tree import COUNT, DEPTH, FIRST, LEFT_OUT, PART_SIZE, ROOT, depth_for
+from sdm.kernels.bvh.tree import PART_SIZE, depth_for
 from sdm.kernels.dense.plan import Decisions
-from sdm.kernels.geometry.voxel_grid import (
-    AXES,
-    CELL_SHARES,
-    ORIGIN,
-    REGION,
-    REGION_SHARES,
-    SHAPE,
-    SLAB_ROW,
-    SPACING,
-    VOXEL,
-    Slab,
-)
+from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION, REGION_SHARES, SLAB_ROW, SPACING, VOXEL, Slab
 from sdm.kernels.launch import set_array
-from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS, FACES, VERTICES
+from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS
 from sdm.runtime.torch_warp import as_warp
 
 # The table, in numbers of 8 bytes: both slabs' rows, the addresses, then the counts and both meshes' parts as whole
@@ -58,24 +48,43 @@ def write_table(
         grid: Of the map.
         addresses: Where its arrays are, and where results go, see `sdm.kernels.topology.filler_faces`.
     """
-    # Lists, as NumPy takes longer to write a few numbers than all else here.
-    own: list[float] = [0.0] * SLAB_ROW
-    own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape
-    own[REGION_SHARES], own[CELL_SHARES] = decisions.region_shares, decisions.cell_shares
+    # Few calls, as the host's way to the launch is much of a small map's time.
+    axes = _ALONG
     if kind.turned:
-        own[AXES : AXES + 9] = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
-    # A grid without voxels, behind the other.
-    none: list[float] = [0.0] * SLAB_ROW
-    none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), grid.size, kind.plan.total
-    none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
+        axes = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
+    of_kind = kind.__dict__.get("_table") or _of_kind(kind)
     depth = depth_for(faces)
-    parts = [0] * (2 * PART_SIZE)
-    parts[COUNT], parts[DEPTH], parts[LEFT_OUT] = faces, depth, decisions.levels_left_out
-    # Of the faces behind there is a tree of the first alone, as nobody looks for any.
-    parts[PART_SIZE + FIRST], parts[PART_SIZE + COUNT], parts[PART_SIZE + ROOT] = faces, 1, 2 << depth
-    counts = [0] * COUNTS
-    counts[FACES], counts[VERTICES] = faces, vertices
-    _FORMAT.pack_into(table, 0, *own, *none, *addresses, *counts, *parts)
+    _FORMAT.pack_into(
+        table,
+        0,
+        # In the order of a row: its slab's first layer, voxel and region are the first of all.
+        *grid.origin,
+        *grid.spacing,
+        *axes,
+        *grid.shape,
+        *(0, 0, 0, decisions.region_shares, decisions.cell_shares),
+        # A grid without voxels, behind the other.
+        *of_kind,
+        *addresses,
+        *(faces, vertices),
+        # In the order of a part: first slot, triangles, depth, first node, levels that are left out.
+        *(0, faces, depth, 0, decisions.levels_left_out),
+        # Of the faces behind there is a tree of the first alone, as nobody looks for any.
+        *(faces, 1, 0, 2 << depth, 0),
+    )
+
+
+_ALONG = (0.0,) * 9
+
+
+def _of_kind(kind: CapacityClass) -> list[float]:
+    """The row of the grid without voxels, the same for all meshes of a class."""
+    none: list[float] = [0.0] * SLAB_ROW
+    none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), math.prod(kind.shape), kind.plan.total
+    none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
+    # It goes with the class.
+    kind.__dict__["_table"] = none
+    return none
 
 
 def split_table(table: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

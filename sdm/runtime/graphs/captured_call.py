@@ -15,7 +15,7 @@ from torch import Tensor
 from sdm.runtime.graphs.branches import side_streams
 from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
-from sdm.runtime.torch_warp import on_current_stream, raw_stream
+from sdm.runtime.torch_warp import current_device, on_current_stream, raw_stream
 
 # Takes flags, zeros if a guess is right, and behind them as many other numbers as it is told, for the host to know.
 Verify: TypeAlias = Callable[..., None]
@@ -216,7 +216,7 @@ class TableRecording(Recording):
             reads: The tensors whose addresses it writes and which are read.
         """
         index = self._device.index
-        if index != torch.cuda.current_device():
+        if index != current_device():
             with torch.cuda.device(self._device):
                 return self.launch(fill, reads)
         if self._guesses:

@@ -26,6 +26,7 @@ from sdm.runtime.graphs.captured_call import (
 )
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
+from sdm.runtime.torch_warp import current_device, is_capturing
 
 # What a call by table gives.
 R = TypeVar("R")
@@ -121,8 +122,8 @@ def supports(tensor: Tensor) -> bool:
     """True if a call with this tensor may be recorded and replayed."""
     if not (tensor.is_cuda and _switch.on and not _switch.pauses and is_eager(tensor)):
         return False
-    if tensor.device.index == torch.cuda.current_device():
-        return not torch.cuda.is_current_stream_capturing()
+    if tensor.device.index == current_device():
+        return not is_capturing()
     with torch.cuda.device(tensor.device):
         return not torch.cuda.is_current_stream_capturing()
 
