@@ -155,7 +155,8 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
     }
     if facts["disagreeing_pairs"]:
         area = np.linalg.norm(np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0]), axis=1)
-        facts["turned_area"] = float(area[agreeing_turns(merged, area)[0]].sum() / area.sum())
+        # Faces without an area have none to turn.
+        facts["turned_area"] = float(area[agreeing_turns(merged, area)[0]].sum() / (area.sum() or 1.0))
     facts["shut_area"] = float(components.area[components.nearly_closed].sum() / (facts["area"] or 1.0))
     facts["recommended_sign"], facts["recommendation"] = recommended_sign(facts)
     return MeshReport(**facts, problems=problems_of(facts, unjudged))
