@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
-from sdm.core.random import generator
+from sdm.core.random import derive_seed, generator
 from sdm.engine.mesh_index import MeshIndex
 from sdm.shapes.family_check import crossing_share
 from sdm.shapes.models.procrustes import rotations
@@ -37,6 +37,9 @@ STIFFER, STIFFEST, FADING = 4.0, 1000.0, 0.7
 HALVES = 4
 # Steps keep the cosine between a face's normal and that of its turned rest above this; below 0 it is turned over.
 MARGIN = 0.05
+# A template further than this share of the mesh's diagonal from a part of it has missed that part, a thin vein say. It
+# is laid again, towards other points of the mesh, so many times at most.
+MISSED, TRIES = 0.05, 3
 # Patches that are tried around faces that are turned over at the end, and steps that rotations spread into one.
 PATCHES, SPREADS = 12, 60
 
@@ -91,9 +94,21 @@ class TemplateLayer:
         self._stiff, self._soft, self._turns = stiff, soft, turns
 
     def lay(self, mesh: TriangleMesh, *, seed: int = 0) -> Laid:
-        """The template on a mesh that lies and faces roughly as it does; its place and size are found first."""
+        """The template on a mesh that lies and faces roughly as it does; its place and size are found first.
+
+        Whether a thin part of the mesh is found hangs on the points that pull, and on rounding: where one is missed the
+        template is laid again towards others, and the nearest with the fewest turned faces stays.
+        """
         target = MeshIndex(mesh, device=self.device)
-        points, normals = surface_samples(mesh, SAMPLES, seed, self.device)
+        box = target.mesh.vertices
+        missed = MISSED * float((box.amax(0) - box.amin(0)).norm())
+        found = [self._laid_once(target, seed)]
+        while found[-1].most > missed and len(found) < TRIES:
+            found.append(self._laid_once(target, derive_seed(seed, "laid again", len(found))))
+        return min(found, key=lambda laid: (laid.turned, laid.distance))
+
+    def _laid_once(self, target: MeshIndex, seed: int) -> Laid:
+        points, normals = surface_samples(target.mesh, SAMPLES, seed, self.device)
         rest = self._placed(target, points)
         x = rest.clone()
         weights = torch.ones(len(self._edges), device=self.device)

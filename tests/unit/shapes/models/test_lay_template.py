@@ -1,12 +1,13 @@
-"""Faces of a laid template that turned over are put right, and the rest of it stays where it is."""
+"""A template is laid again where it missed a part; faces that turned over are put right, and the rest stays."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from sdm.core.mesh import TriangleMesh
 from sdm.shapes.cube_sphere import cube_surface, unit_sphere
-from sdm.shapes.models.lay_template import TemplateLayer
+from sdm.shapes.models.lay_template import Laid, TemplateLayer
 
 
 def test_a_fold_is_put_right_and_the_rest_stays():
@@ -35,3 +36,33 @@ def test_what_is_not_turned_is_not_touched():
     layer = TemplateLayer(TriangleMesh(rest, torch.from_numpy(faces), check=False), "cpu")
     bent = rest * torch.tensor([1.3, 1.0, 0.8])
     assert torch.equal(layer._turned_back(bent, rest), bent)
+
+
+def laid(distance: float, most: float, turned: int = 0) -> Laid:
+    return Laid(torch.zeros(1, 3), distance, most, turned, 0)
+
+
+@pytest.mark.parametrize(
+    ("results", "chosen"),
+    [
+        ([laid(0.1, 0.05)], 0),
+        ([laid(0.5, 1.0), laid(0.1, 0.05)], 1),
+        ([laid(0.5, 1.0), laid(0.4, 1.0), laid(0.45, 1.0)], 1),
+        ([laid(0.5, 1.0), laid(0.1, 0.05, turned=2)], 0),
+    ],
+)
+def test_a_template_that_missed_a_part_is_laid_again(monkeypatch, results, chosen):
+    """Of a unit cube, whose diagonal is 1.73: further than a twentieth of that is a part that was missed."""
+    cube, faces = cube_surface(4)
+    mesh = TriangleMesh(torch.from_numpy(cube.copy()).float() / 2, torch.from_numpy(faces), check=False)
+    layer = TemplateLayer(mesh, "cpu")
+    seeds: list[int] = []
+
+    def once(target, seed):
+        seeds.append(seed)
+        return results[len(seeds) - 1]
+
+    monkeypatch.setattr(layer, "_laid_once", once)
+    assert layer.lay(mesh, seed=5) is results[chosen]
+    assert len(set(seeds)) == len(results)
+    assert seeds[0] == 5
