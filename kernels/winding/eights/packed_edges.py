@@ -33,19 +33,12 @@ from sdm.kernels.winding.rims.float32_sum import (
     TURNED_MORE,
 )
 from sdm.kernels.winding.rims.radial_strips import (
-    ACROSS_BOX,
-    CUBES,
-    DRIFT,
-    ERROR,
+    DERIVATIVES,
     LARGEST_RATIO,
-    NEAR,
+    LOOK_OF_SUMS,
+    MET_ACROSS,
     NEAREST_EDGE,
-    PRODUCTS,
-    SHARE,
-    SHARE_ERROR,
-    SLOPE,
-    SQUARES,
-    STEPS,
+    SUMS_OF_LOOK,
     Look,
 )
 
@@ -168,12 +161,7 @@ _BEGIN = """
     wp::vec_t<23, float> found;
 #if !defined(__CUDA_ARCH__)
     {_BEGIN}
-    T slope[3], squares[3], products[3], cubes[7];
-    for (int k = 0; k < 3; ++k) slope[k] = squares[k] = products[k] = none;
-    for (int k = 0; k < 7; ++k) cubes[k] = none;
-    T bounds = none, drift = none, steps = none;
-    int near = 0, across = 0;
-    const float cube = radius * radius * radius / 3.0f, square = radius * radius;
+    {SUMS_OF_LOOK}
     const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
     for (int i = 0; 8 * i < count; ++i) {{
         {_EIGHT_EDGES}
@@ -197,15 +185,7 @@ _BEGIN = """
             const T fa = ia * (ia2 * ik + pull), fb = ib * (ib2 * ik + pull);
             const T sx = ax * fa + bx * fb, sy = ay * fa + by * fb, sz = az * fa + bz * fb;
             const T common = w * ik * ik * (2.0f * sum * sum * ik - 1.0f);
-            const T p = ia * (3.0f * ia2 * ik + (3.0f * ia + ib) * once) + common;
-            const T q = (ia2 + ib2) * once + common;
-            const T r = ib * (3.0f * ib2 * ik + (3.0f * ib + ia) * once) + common;
-            const T level = -(ia * ia2 + ib * ib2) * ik - w * w * once;
-            const T ux = ia * ax, uy = ia * ay, uz = ia * az, vx = ib * bx, vy = ib * by, vz = ib * bz;
-            const T gx = p * ux + q * vx, gy = p * uy + q * vy, gz = p * uz + q * vz;
-            const T hx = q * ux + r * vx, hy = q * uy + r * vy, hz = q * uz + r * vz;
-            const T xx = gx * ux + hx * vx + level, yy = gy * uy + hy * vy + level, zz = gz * uz + hz * vz + level;
-            const T xy = 2.0f * (gx * uy + hx * vy), xz = 2.0f * (gx * uz + hx * vz), yz2 = 2.0f * (gy * uz + hy * vz);
+            {DERIVATIVES}
             const T squared = (size_of(sx) + size_of(sy) + size_of(sz)) * square;
             const T change = s1 * radius + squared + cube * (p + 2.0f * q + r - 3.0f * level);
             const T off = change * (20.0f * fla * length + flat * (20.0f * pair * ik + 40.0f)) + 2.0f * reach * per_d;
@@ -234,10 +214,7 @@ _BEGIN = """
         }}
         // Strips along -x across the box: a line and a rectangle, seen along x.
         const T snap = 2.0e-6f * (1.0f + both);
-        const M met = there & (size_of(nx) <= room_y * size_of(ez) + room_z * size_of(ey) + snap)
-            & (least(ay, by) <= room_y + snap) & (most_of(ay, by) >= -room_y - snap)
-            & (least(az, bz) <= room_z + snap) & (most_of(az, bz) >= -room_z - snap)
-            & (most_of(ax, bx) >= -half.c[0] * 1.0001f - snap);
+        {MET_ACROSS}
         const M near_here = there & ~far;
         if (any(near_here | met)) {{
             for (int j = 0; j < 8; ++j) {{
@@ -247,21 +224,7 @@ _BEGIN = """
             }}
         }}
     }}
-    auto sum = [&](T x) {{ float s = 0.0f; for (int k = 0; k < WIDE; ++k) s += get(x, k); return s; }};
-    for (int k = 0; k < 3; ++k) {{
-        found.c[{SLOPE} + k] = sum(slope[k]);
-        found.c[{SQUARES} + k] = sum(squares[k]);
-        found.c[{PRODUCTS} + k] = sum(products[k]);
-    }}
-    for (int k = 0; k < 7; ++k) found.c[{CUBES} + k] = sum(cubes[k]);
-    found.c[{ERROR}] = sum(bounds);
-    found.c[{DRIFT}] = sum(drift);
-    found.c[{STEPS}] = sum(steps);
-    {SHARES}
-    found.c[{SHARE}] = share;
-    found.c[{SHARE_ERROR}] = off;
-    found.c[{NEAR}] = (float)near;
-    found.c[{ACROSS_BOX}] = (float)across;
+    {LOOK_OF_SUMS}
 #endif
     return found;
 """

@@ -51,18 +51,51 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
     0, 3, 6, 9, 16, 17, 18, 19, 20, 21, 22,
 )  # fmt: skip
 
+# Parts of a look that `eights.packed_edges` has too: its sums before the first edge; the derivatives in the polynomial's
+# terms; the edges whose strips along -x may lie across the box; the sums in their places.
+SUMS_OF_LOOK = """T slope[3], squares[3], products[3], cubes[7];
+    for (int k = 0; k < 3; ++k) slope[k] = squares[k] = products[k] = none;
+    for (int k = 0; k < 7; ++k) cubes[k] = none;
+    T bounds = none, drift = none, steps = none;
+    int near = 0, across = 0;
+    const float cube = radius * radius * radius / 3.0f, square = radius * radius;"""
+DERIVATIVES = """const T p = ia * (3.0f * ia2 * ik + (3.0f * ia + ib) * once) + common;
+            const T q = (ia2 + ib2) * once + common;
+            const T r = ib * (3.0f * ib2 * ik + (3.0f * ib + ia) * once) + common;
+            const T level = -(ia * ia2 + ib * ib2) * ik - w * w * once;
+            const T ux = ia * ax, uy = ia * ay, uz = ia * az, vx = ib * bx, vy = ib * by, vz = ib * bz;
+            const T gx = p * ux + q * vx, gy = p * uy + q * vy, gz = p * uz + q * vz;
+            const T hx = q * ux + r * vx, hy = q * uy + r * vy, hz = q * uz + r * vz;
+            const T xx = gx * ux + hx * vx + level, yy = gy * uy + hy * vy + level, zz = gz * uz + hz * vz + level;
+            const T xy = 2.0f * (gx * uy + hx * vy), xz = 2.0f * (gx * uz + hx * vz), yz2 = 2.0f * (gy * uz + hy * vz);
+""".rstrip()
+MET_ACROSS = """const M met = there & (size_of(nx) <= room_y * size_of(ez) + room_z * size_of(ey) + snap)
+            & (least(ay, by) <= room_y + snap) & (most_of(ay, by) >= -room_y - snap)
+            & (least(az, bz) <= room_z + snap) & (most_of(az, bz) >= -room_z - snap)
+            & (most_of(ax, bx) >= -half.c[0] * 1.0001f - snap);"""
+LOOK_OF_SUMS = f"""auto sum = [&](T x) {{ float s = 0.0f; for (int k = 0; k < WIDE; ++k) s += get(x, k); return s; }};
+    for (int k = 0; k < 3; ++k) {{
+        found.c[{SLOPE} + k] = sum(slope[k]);
+        found.c[{SQUARES} + k] = sum(squares[k]);
+        found.c[{PRODUCTS} + k] = sum(products[k]);
+    }}
+    for (int k = 0; k < 7; ++k) found.c[{CUBES} + k] = sum(cubes[k]);
+    found.c[{ERROR}] = sum(bounds);
+    found.c[{DRIFT}] = sum(drift);
+    found.c[{STEPS}] = sum(steps);
+    {SHARES}
+    found.c[{SHARE}] = share;
+    found.c[{SHARE_ERROR}] = off;
+    found.c[{NEAR}] = (float)near;
+    found.c[{ACROSS_BOX}] = (float)across;"""
+
 
 @wp.func_native(
     snippet=f"""
     {NUMBERS}
     {TURN}
     wp::vec_t<23, float> found;
-    T slope[3], squares[3], products[3], cubes[7];
-    for (int k = 0; k < 3; ++k) slope[k] = squares[k] = products[k] = none;
-    for (int k = 0; k < 7; ++k) cubes[k] = none;
-    T bounds = none, drift = none, steps = none;
-    int near = 0, across = 0;
-    const float cube = radius * radius * radius / 3.0f, square = radius * radius;
+    {SUMS_OF_LOOK}
     for (int first_of_turn = 0; first_of_turn < count; first_of_turn += WIDE * lanes) {{
         T ax = one, ay = one, az = one, bx = one, by = one, bz = one, ex = none, ey = none, ez = none, is_there = none;
         const int e = first_of_turn + WIDE * lane;
@@ -100,15 +133,7 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
             const T fa = ia * (ia2 * ik + pull), fb = ib * (ib2 * ik + pull);
             const T sx = ax * fa + bx * fb, sy = ay * fa + by * fb, sz = az * fa + bz * fb;
             const T common = w * ik * ik * (2.0f * both * both * ik - 1.0f);
-            const T p = ia * (3.0f * ia2 * ik + (3.0f * ia + ib) * once) + common;
-            const T q = (ia2 + ib2) * once + common;
-            const T r = ib * (3.0f * ib2 * ik + (3.0f * ib + ia) * once) + common;
-            const T level = -(ia * ia2 + ib * ib2) * ik - w * w * once;
-            const T ux = ia * ax, uy = ia * ay, uz = ia * az, vx = ib * bx, vy = ib * by, vz = ib * bz;
-            const T gx = p * ux + q * vx, gy = p * uy + q * vy, gz = p * uz + q * vz;
-            const T hx = q * ux + r * vx, hy = q * uy + r * vy, hz = q * uz + r * vz;
-            const T xx = gx * ux + hx * vx + level, yy = gy * uy + hy * vy + level, zz = gz * uz + hz * vz + level;
-            const T xy = 2.0f * (gx * uy + hx * vy), xz = 2.0f * (gx * uz + hx * vz), yz2 = 2.0f * (gy * uz + hy * vz);
+            {DERIVATIVES}
             const T flat = root(nx * nx + ny * ny + nz * nz);
             const T linear = s1 * radius, squared = root(sx * sx + sy * sy + sz * sz) * square;
             const T change = linear + squared + cube * (p + 2.0f * q + r - 3.0f * level);
@@ -139,10 +164,7 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
         // Strips along -x across the box: a line and a rectangle, seen along x.
         const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
         const T snap = 2.0e-6f * (1.0f + both);
-        const M met = there & (size_of(nx) <= room_y * size_of(ez) + room_z * size_of(ey) + snap)
-            & (least(ay, by) <= room_y + snap) & (most_of(ay, by) >= -room_y - snap)
-            & (least(az, bz) <= room_z + snap) & (most_of(az, bz) >= -room_z - snap)
-            & (most_of(ax, bx) >= -half.c[0] * 1.0001f - snap);
+        {MET_ACROSS}
 #if defined(__CUDA_ARCH__)
         const unsigned before = (1u << lane) - 1u;
         const unsigned nears = __ballot_sync(0xffffffffu, near_here), mets = __ballot_sync(0xffffffffu, met);
@@ -158,21 +180,7 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
         }}
 #endif
     }}
-    auto sum = [&](T x) {{ float s = 0.0f; for (int k = 0; k < WIDE; ++k) s += get(x, k); return s; }};
-    for (int k = 0; k < 3; ++k) {{
-        found.c[{SLOPE} + k] = sum(slope[k]);
-        found.c[{SQUARES} + k] = sum(squares[k]);
-        found.c[{PRODUCTS} + k] = sum(products[k]);
-    }}
-    for (int k = 0; k < 7; ++k) found.c[{CUBES} + k] = sum(cubes[k]);
-    found.c[{ERROR}] = sum(bounds);
-    found.c[{DRIFT}] = sum(drift);
-    found.c[{STEPS}] = sum(steps);
-    {SHARES}
-    found.c[{SHARE}] = share;
-    found.c[{SHARE_ERROR}] = off;
-    found.c[{NEAR}] = (float)near;
-    found.c[{ACROSS_BOX}] = (float)across;
+    {LOOK_OF_SUMS}
     return found;
 """
 )
