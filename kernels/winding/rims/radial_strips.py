@@ -51,8 +51,8 @@ SLOPE, SQUARES, PRODUCTS, CUBES, ERROR, DRIFT, SHARE, SHARE_ERROR, NEAR, ACROSS_
     0, 3, 6, 9, 16, 17, 18, 19, 20, 21, 22,
 )  # fmt: skip
 
-# Parts of a look that `eights.packed_edges` has too: its sums before the first edge; the derivatives in the polynomial's
-# terms; the edges whose strips along -x may lie across the box; the sums in their places.
+# Parts of a look that `eights.packed_edges` has too: its sums before the first edge; the derivatives in the terms of
+# the polynomial; the edges whose strips along -x may lie across the box; the sums in their places.
 SUMS_OF_LOOK = """T slope[3], squares[3], products[3], cubes[7];
     for (int k = 0; k < 3; ++k) slope[k] = squares[k] = products[k] = none;
     for (int k = 0; k < 7; ++k) cubes[k] = none;
