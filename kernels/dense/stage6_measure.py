@@ -27,6 +27,7 @@ from sdm.kernels.dense.block.feature_setup import (
     tests_of,
 )
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_in_slab, octants_of
+from sdm.kernels.dense.block.octants_on_cpu import by_octants, measure_octants
 from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, SCRATCH_ROWS
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, write_coordinates
 from sdm.kernels.dense.block.winners import (
@@ -57,7 +58,7 @@ from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import BY_GRID, Output, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, on_cpu, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import small_stack_of
 from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, enqueue, queue_entry
 
@@ -141,6 +142,7 @@ def measure_block(
     write_coordinates(tree, slab, scratch, block, lane, lanes)
     begin_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
+    eights = on_cpu() and slab.turned == 0 and by_octants(winners)
     wait_for_lanes()
     reader = Reader()
     if list_length(blocks, item * shares, shares) >= 0:
@@ -181,9 +183,14 @@ def measure_block(
                     code = stack[FACES + faces + lane - batch.corners - batch.edges]
                     add_face(scratch, lane, tree, features, code, block.box, block.floor)
                     note_feature(scratch, lane, which, code, winners)
-                there = octants & octants_of(scratch, lane, tests_of(which))
+                if not eights:
+                    there = octants & octants_of(scratch, lane, tests_of(which))
             wait_for_lanes()
-            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, winners, lane, lanes)
+            near = block.floor == 0.0
+            if eights:
+                measure_octants(scratch, which, octants, room, near)
+            else:
+                measure_features(scratch, batch, there, room, near, slab.turned != 0, winners, lane, lanes)
         wait_for_lanes()
     unclear = end_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     if unclear > 0:

@@ -23,7 +23,7 @@ _ROWS = VOXELS // 4
 
 # Texts that measure one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A
 # compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away.
-_CORNER = (
+CORNER_TEXT = (
     "const Row r = row[feature];",
     """
             const float in_z = FUSED(FUSED(a, r.z, z), FUSED(b, r.z, z), r.w);
@@ -37,7 +37,7 @@ _EDGE_ROWS = f"""
         const Row r = row[feature], e = row[{BATCH} + feature];
         const float begin = e.w - room, end = number[{NUMBERS} + feature] + room;
 """
-_NEAR_EDGE = (
+NEAR_EDGE_TEXT = (
     _EDGE_ROWS,
     """
             const float along = FUSED(x, e.x, FUSED(y, e.y, z * e.z));
@@ -46,7 +46,7 @@ _NEAR_EDGE = (
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
-_FAR_EDGE = (
+FAR_EDGE_TEXT = (
     _EDGE_ROWS,
     """
             const float along = FUSED(x, e.x, FUSED(y, e.y, z * e.z));
@@ -55,7 +55,7 @@ _FAR_EDGE = (
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
-_FACE = (
+FACE_TEXT = (
     f"""
         const Row r = row[feature], i1 = row[{BATCH} + feature];
         const Row i2 = row[{2 * BATCH} + feature], i3 = row[{3 * BATCH} + feature];
@@ -123,7 +123,7 @@ _TURNED = """
 
 
 def _kinds(places: str, known: str, keep: tuple[str, str, str]) -> str:
-    features = _CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE
+    features = CORNER_TEXT, NEAR_EDGE_TEXT, FAR_EDGE_TEXT, FACE_TEXT
     corner, near, far, face = (_measure(feature, places, known, keep) for feature in features)
     edge = f"if (near) {{ {near} }} else {{ {far} }}"
     return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
