@@ -27,7 +27,7 @@ from sdm.kernels.dense.block.feature_setup import (
     tests_of,
 )
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_in_slab, octants_of
-from sdm.kernels.dense.block.octants_on_cpu import by_octants, measure_octants
+from sdm.kernels.dense.block.octants_on_cpu import by_octants, measure_list
 from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, SCRATCH_ROWS
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, write_coordinates
 from sdm.kernels.dense.block.winners import (
@@ -142,11 +142,13 @@ def measure_block(
     write_coordinates(tree, slab, scratch, block, lane, lanes)
     begin_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
-    eights = on_cpu() and slab.turned == 0 and by_octants(winners)
     wait_for_lanes()
     reader = Reader()
     if list_length(blocks, item * shares, shares) >= 0:
-        reader = start_reading(blocks, item * shares, shares)
+        if on_cpu() and slab.turned == 0 and by_octants(winners):
+            measure_list(tree, features, pool, blocks, item, shares, scratch, block, octants, room)
+        else:
+            reader = start_reading(blocks, item * shares, shares)
     # Each batch is read while the one before is worked out.
     upcoming = read_entry(pool, reader, lane)
     corners = int(0)
@@ -183,14 +185,9 @@ def measure_block(
                     code = stack[FACES + faces + lane - batch.corners - batch.edges]
                     add_face(scratch, lane, tree, features, code, block.box, block.floor)
                     note_feature(scratch, lane, which, code, winners)
-                if not eights:
-                    there = octants & octants_of(scratch, lane, tests_of(which))
+                there = octants & octants_of(scratch, lane, tests_of(which))
             wait_for_lanes()
-            near = block.floor == 0.0
-            if eights:
-                measure_octants(scratch, which, octants, room, near)
-            else:
-                measure_features(scratch, batch, there, room, near, slab.turned != 0, winners, lane, lanes)
+            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, winners, lane, lanes)
         wait_for_lanes()
     unclear = end_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     if unclear > 0:
