@@ -1,4 +1,6 @@
-"""Arithmetic on eight numbers at once on a CPU, which has registers for as many, and on one in each lane of a GPU."""
+"""Arithmetic on eight numbers at once on a CPU, which has registers for as many, and on one in each lane of a GPU;
+and on sixteen, where a CPU has registers for these.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +22,34 @@ NUMBERS = """
     auto any = [](M m) { return m; };
 #else
     #pragma clang fp contract(fast)
-    typedef float T __attribute__((vector_size(32)));
-    typedef int M __attribute__((vector_size(32)));
     constexpr int WIDE = 8;
-    auto root = [](T x) { for (int k = 0; k < 8; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
+    typedef float T __attribute__((vector_size(4 * WIDE)));
+    typedef int M __attribute__((vector_size(4 * WIDE)));
+    auto root = [](T x) { for (int k = 0; k < WIDE; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
     auto over = [](T x, T y) { return x / y; };
     auto where = [](M m, T x, T y) { return (T)((m & (M)x) | (~m & (M)y)); };
     auto size_of = [](T x) { return (T)((M)x & 0x7fffffff); };
-    auto all = [](float x) { return T{x, x, x, x, x, x, x, x}; };
+    auto all = [](float x) { T all_of_it; for (int k = 0; k < WIDE; ++k) all_of_it[k] = x; return all_of_it; };
     auto put = [](T& x, int k, float y) { x[k] = y; };
     auto get = [](T x, int k) { return x[k]; };
     auto has = [](M m, int k) { return m[k] != 0; };
-    auto any = [](M m) { int some = 0; for (int k = 0; k < 8; ++k) some |= m[k]; return some != 0; };
+    auto any = [](M m) { int some = 0; for (int k = 0; k < WIDE; ++k) some |= m[k]; return some != 0; };
 #endif
     auto least = [&](T x, T y) { return where(x < y, x, y); };
     auto most_of = [&](T x, T y) { return where(x < y, y, x); };
     const T none = all(0.0f), one = all(1.0f), unknown = all(INFINITY);
 """
+
+# The same with sixteen numbers where a CPU has registers of 512 bits, else eight; nothing on a GPU. What they are read
+# from has room for sixteen: of numbers of SIXTEEN places those of turn i begin at WIDE * i.
+SIXTEEN = 16
+WIDEST_NUMBERS = NUMBERS.replace(
+    "constexpr int WIDE = 8;",
+    """
+#if defined(__AVX512F__)
+    constexpr int WIDE = 16;
+#else
+    constexpr int WIDE = 8;
+#endif
+""",
+)

@@ -1,48 +1,52 @@
 """Strips of listed edges at all voxels of a box on a CPU: what `rims.radial_strips.strips_at` finds for eight of them.
 
-Each edge is made ready once for the whole box, with seven others.
+Each edge is made ready once for the whole box, with the others of a register.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.primitives.wide_numbers import NUMBERS
+from sdm.kernels.primitives.wide_numbers import SIXTEEN, WIDEST_NUMBERS
 from sdm.kernels.winding.eights.packed_edges import BEGIN, END, ROW, TIMES
 from sdm.kernels.winding.rims.float32_sum import LARGEST_PRODUCT, SECOND, SHRINK, SUMMED, UNIT
 from sdm.kernels.winding.rims.radial_strips import ANGLE, FIRST, SECOND_FACTOR, SNAP
 
 wp.set_module_options({"enable_backward": False})
 
-# Numbers of eight voxels: their places, then the shares of their winding numbers and the errors of those. And the most
-# voxels of a box.
-X, Y, Z, SHARE, ERROR, EIGHT = 0, 8, 16, 24, 32, 40
+# Numbers of sixteen voxels: their places, then the shares of their winding numbers and the errors of those. And the
+# most voxels of a box.
+X, Y, Z, SHARE, ERROR, VOXELS = (SIXTEEN * number for number in range(6))
 MOST = 512
-ROOM = EIGHT * MOST // 8
+ROOM = VOXELS * MOST // SIXTEEN
 
 
 @wp.func_native(
     snippet=f"""
-    {NUMBERS}
+    {WIDEST_NUMBERS}
 #if !defined(__CUDA_ARCH__)
     float* const voxels = places.data + at;
-    T re[{MOST // 8}], im[{MOST // 8}], turns[{MOST // 8}], error[{MOST // 8}], crossed[{MOST // 8}];
+    constexpr int MOST = {MOST} / WIDE;
+    const int groups = count / WIDE;
+    T re[MOST], im[MOST], turns[MOST], error[MOST], crossed[MOST];
+    // Where the numbers of a group of voxels are.
+    auto group = [&](int g) {{ return voxels + {VOXELS} * (WIDE * g / {SIXTEEN}) + WIDE * g % {SIXTEEN}; }};
+    auto load = [&](const float* from) {{ T x; __builtin_memcpy(&x, from, sizeof(T)); return x; }};
     for (int g = 0; g < groups; ++g) {{
         re[g] = one;
         im[g] = turns[g] = error[g] = crossed[g] = none;
     }}
-    auto load = [&](int from) {{ T x; __builtin_memcpy(&x, voxels + from, 32); return x; }};
     // Numbers of an edge: the ways to its ends, lengths, k, n, m and errors.
     enum {{ AX, AY, AZ, BX, BY, BZ, LA, LB, K, NX, NY, NZ, MX, MY, MZ, OFF_Q, OFF_2, TWICE, COUNT }};
     T ready[COUNT];
     for (int i = 0; i < near; ++i) {{
-        if (i % 8 == 0) {{
+        if (i % WIDE == 0) {{
             T gx = one, gy = one, gz = one, hx = one, hy = one, hz = one, times = one;
-            for (int k = 0; k < 8 && i + k < near; ++k) {{
+            for (int k = 0; k < WIDE && i + k < near; ++k) {{
                 const int number = stack.data[near_at + i + k];
-                const float* row = rows.data + {ROW} * (size_t)(first + number / 8) + number % 8;
-                gx[k] = row[{BEGIN}]; gy[k] = row[{BEGIN + 8}]; gz[k] = row[{BEGIN + 16}];
-                hx[k] = row[{END}]; hy[k] = row[{END + 8}]; hz[k] = row[{END + 16}];
+                const float* row = rows.data + {ROW} * (size_t)(first + number / {SIXTEEN}) + number % {SIXTEEN};
+                gx[k] = row[{BEGIN}]; gy[k] = row[{BEGIN + SIXTEEN}]; gz[k] = row[{BEGIN + 2 * SIXTEEN}];
+                hx[k] = row[{END}]; hy[k] = row[{END + SIXTEEN}]; hz[k] = row[{END + 2 * SIXTEEN}];
                 times[k] = row[{TIMES}];
             }}
             ready[TWICE] = times;
@@ -58,7 +62,7 @@ ROOM = EIGHT * MOST // 8
             ready[OFF_Q] = radius * ({ANGLE}f * size + {SNAP}f * (la + lb));
             ready[OFF_2] = {SECOND_FACTOR}f * size + {SNAP}f * (la + lb);
         }}
-        const int e = i % 8;
+        const int e = i % WIDE;
         const float gx = ready[AX][e], gy = ready[AY][e], gz = ready[AZ][e];
         const float hx = ready[BX][e], hy = ready[BY][e], hz = ready[BZ][e];
         const float ax = gx - c.c[0], ay = gy - c.c[1], az = gz - c.c[2];
@@ -69,7 +73,8 @@ ROOM = EIGHT * MOST // 8
         const bool twice = ready[TWICE][e] > 1.0f;
         const float off_1 = {FIRST}f * la + {SNAP}f, off_s = {SNAP}f * la, off_k = {SNAP}f * la * lb + off_q;
         for (int g = 0; g < groups; ++g) {{
-            const T px = load({EIGHT} * g + {X}), py = load({EIGHT} * g + {Y}), pz = load({EIGHT} * g + {Z});
+            const float* const at_g = group(g);
+            const T px = load(at_g + {X}), py = load(at_g + {Y}), pz = load(at_g + {Z});
             const T x = px - c.c[0], y = py - c.c[1], z = pz - c.c[2];
             const T sx = gx - px, sy = gy - py, sz = gz - pz, tx = hx - px, ty = hy - py, tz = hz - pz;
             const T ls = root(sx * sx + sy * sy + sz * sz), lt = root(tx * tx + ty * ty + tz * tz);
@@ -108,9 +113,10 @@ ROOM = EIGHT * MOST // 8
     }}
     for (int i = 0; i < across; ++i) {{
         const int number = stack.data[across_at + i];
-        const float* row = rows.data + {ROW} * (size_t)(first + number / 8) + number % 8;
-        const float ax = row[{BEGIN}] - c.c[0], ay = row[{BEGIN + 8}] - c.c[1], az = row[{BEGIN + 16}] - c.c[2];
-        const float bx = row[{END}] - c.c[0], by = row[{END + 8}] - c.c[1], bz = row[{END + 16}] - c.c[2];
+        const float* row = rows.data + {ROW} * (size_t)(first + number / {SIXTEEN}) + number % {SIXTEEN};
+        const float ax = row[{BEGIN}] - c.c[0], ay = row[{BEGIN + SIXTEEN}] - c.c[1];
+        const float az = row[{BEGIN + 2 * SIXTEEN}] - c.c[2], bx = row[{END}] - c.c[0];
+        const float by = row[{END + SIXTEEN}] - c.c[1], bz = row[{END + 2 * SIXTEEN}] - c.c[2];
         const float la = sqrtf(ax * ax + ay * ay + az * az), lb = sqrtf(bx * bx + by * by + bz * bz);
         const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
         const float sign = nx < 0.0f ? -1.0f : 1.0f, n = sign * nx;
@@ -120,8 +126,8 @@ ROOM = EIGHT * MOST // 8
         const float fay = sign * ay, faz = sign * az, fby = sign * by, fbz = sign * bz;
         const bool flat = n <= off_n;
         for (int g = 0; g < groups; ++g) {{
-            const T x = load({EIGHT} * g + {X}) - c.c[0], y = load({EIGHT} * g + {Y}) - c.c[1];
-            const T z = load({EIGHT} * g + {Z}) - c.c[2];
+            const float* const at_g = group(g);
+            const T x = load(at_g + {X}) - c.c[0], y = load(at_g + {Y}) - c.c[1], z = load(at_g + {Z}) - c.c[2];
             const T ua = z * fay - y * faz, ub = y * fbz - z * fby, over_it = ua + ub - n;
             const T uq = -sign * (x * nx + y * ny + z * nz);
             const T low = least(least(ua - off_a, ub - off_b), least(over_it - off_it, uq - off_q));
@@ -136,11 +142,11 @@ ROOM = EIGHT * MOST // 8
         }}
     }}
     for (int g = 0; g < groups; ++g) {{
-        for (int k = 0; k < 8; ++k) {{
+        for (int k = 0; k < WIDE; ++k) {{
             const float angle = near ? 2.0f * atan2f(im[g][k], re[g][k]) + {4.0 * wp.PI}f * turns[g][k] : 0.0f;
-            voxels[{EIGHT} * g + {SHARE} + k] = angle / {4.0 * wp.PI}f + crossed[g][k];
+            group(g)[{SHARE} + k] = angle / {4.0 * wp.PI}f + crossed[g][k];
             const float off = 2.0f * error[g][k] + {SUMMED}f * (1.0f + fabsf(angle));
-            voxels[{EIGHT} * g + {ERROR} + k] = off / {4.0 * wp.PI}f;
+            group(g)[{ERROR} + k] = off / {4.0 * wp.PI}f;
         }}
     }}
 #endif
@@ -158,9 +164,9 @@ def strips_of_box(
     radius: float,
     places: wp.array(dtype=wp.float32),
     at: int,
-    groups: int,
+    count: int,
 ):
-    """Write the shares of listed edges' strips of the winding numbers at the voxels of a box, up to MOST by eights,
+    """Write the shares of listed edges' strips of the winding numbers at the voxels of a box, up to MOST by sixteens,
     with what lies across the way from c to each; and their largest errors.
 
     Args:
@@ -173,8 +179,8 @@ def strips_of_box(
         across: How many.
         c: The place that strips are swept away from.
         radius: Of the ball about it that holds the voxels.
-        places: Numbers of eight voxels each, ROOM for each worker.
+        places: Numbers of sixteen voxels each, ROOM for each worker.
         at: Where this worker's begin.
-        groups: How many eights.
+        count: How many voxels, a multiple of sixteen.
     """
     ...

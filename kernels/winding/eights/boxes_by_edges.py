@@ -17,10 +17,11 @@ from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
+from sdm.kernels.primitives.wide_numbers import SIXTEEN
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_field import doubt, most_change, share_at
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.eights.box_strips import EIGHT, ERROR, SHARE, X, Y, Z, strips_of_box
+from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, VOXELS, X, Y, Z, strips_of_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
@@ -96,13 +97,11 @@ def _open_boxes_by_eights(
                 for number in range(voxels):
                     v = start + place_in_box(number, bits)
                     p = scale * voxel(here, v[0], v[1], v[2])
-                    to = at_places + EIGHT * (number >> 3) + (number & 7)
+                    to = at_places + VOXELS * (number >> 4) + (number & 15)
                     places[to + X] = p[0]
                     places[to + Y] = p[1]
                     places[to + Z] = p[2]
-                strips_of_box(
-                    rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels >> 3
-                )
+                strips_of_box(rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels)
             for number in range(voxels):
                 inner = place_in_box(number, bits)
                 v = start + inner
@@ -111,7 +110,7 @@ def _open_boxes_by_eights(
                     share = middle
                     wrong = error + change
                     if not plain:
-                        of = at_places + EIGHT * (number >> 3) + (number & 7)
+                        of = at_places + VOXELS * (number >> 4) + (number & 15)
                         way = wp.vec3(places[of + X], places[of + Y], places[of + Z]) - c
                         share = share_at(field, way) + places[of + SHARE]
                         wrong = error + places[of + ERROR]
@@ -184,7 +183,7 @@ def open_edges_by_eights(
     workers = 16 * threads()
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
-    blocks = -(-boundary.count // 8)
+    blocks = -(-boundary.count // SIXTEEN)
     rows = empty(meshes * blocks * ROW, wp.float32)
     packed = empty(meshes, wp.int32)
     launch(pack_edges, meshes, [boundary, blocks, rows, packed], device, smallest=1)

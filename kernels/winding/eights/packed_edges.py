@@ -1,4 +1,5 @@
-"""Boundary edges by eights, each number of eight edges in a row: sums over all edges on a CPU.
+"""Boundary edges by sixteens, each number of sixteen edges in a row: sums over all edges on a CPU, which takes as many
+of them at once as it has registers for.
 
 As `rims.float32_sum` and `rims.radial_strips` have them, but quotients are few, which take a CPU as long as ten
 products:
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.primitives.wide_numbers import NUMBERS
+from sdm.kernels.primitives.wide_numbers import SIXTEEN, WIDEST_NUMBERS
 from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.near_caps import UNIT
 from sdm.kernels.winding.rims.float32_sum import (
@@ -44,17 +45,23 @@ from sdm.kernels.winding.rims.radial_strips import (
 
 wp.set_module_options({"enable_backward": False})
 
-# Numbers of eight edges: both ends, their distance, one over that, zero if it is too small, and how often they are met:
-# once or twice, as the edges are between faces that are turned to either side.
-BEGIN, END, LENGTH, PER_LENGTH, TIMES, ROW = 0, 24, 48, 56, 64, 72
+# Numbers of sixteen edges: both ends, their distance, one over that, zero if it is too small, and how often they are
+# met: once or twice, as the edges are between faces that are turned to either side.
+BEGIN, END, LENGTH, PER_LENGTH, TIMES, ROW = (SIXTEEN * number for number in (0, 3, 6, 7, 8, 9))
 SHORTEST = 1.0e-15
+
+
+@wp.func
+def place_of_edge(number: int):
+    """Where the first of an edge's numbers is."""
+    return ROW * (number / SIXTEEN) + number % SIXTEEN
 
 
 @wp.kernel
 def pack_edges(
     begin: int, boundary: Boundary, blocks: int, rows: wp.array(dtype=wp.float32), packed: wp.array(dtype=wp.int32)
 ):
-    """Write up to `blocks` rows of eight edges for each mesh, and how many edges are packed there. Two that are alike
+    """Write up to `blocks` rows of sixteen edges for each mesh, and how many edges are packed there. Two that are alike
     and next to each other are one that is met twice.
     """
     mesh = begin + wp.tid()
@@ -68,15 +75,15 @@ def pack_edges(
         b = boundary.ends[end + 1]
         if times == 1.0 and a == before_a and b == before_b:
             times = float(2.0)
-            number = mesh * blocks * 8 + length - 1
-            rows[ROW * (number / 8) + number % 8 + TIMES] = times
+            number = mesh * blocks * SIXTEEN + length - 1
+            rows[place_of_edge(number) + TIMES] = times
         else:
             times = float(1.0)
-            number = mesh * blocks * 8 + length
-            at = ROW * (number / 8) + number % 8
+            number = mesh * blocks * SIXTEEN + length
+            at = place_of_edge(number)
             for axis in range(3):
-                rows[at + BEGIN + 8 * axis] = a[axis]
-                rows[at + END + 8 * axis] = b[axis]
+                rows[at + BEGIN + SIXTEEN * axis] = a[axis]
+                rows[at + END + SIXTEEN * axis] = b[axis]
             long = wp.length(b - a)
             inverse = float(0.0)
             if long > SHORTEST:
@@ -89,26 +96,25 @@ def pack_edges(
         before_b = b
     packed[mesh] = length
     # No row is written in part.
-    while length % 8 != 0:
-        number = mesh * blocks * 8 + length
-        at = ROW * (number / 8) + number % 8
-        for k in range(ROW / 8):
-            rows[at + 8 * k] = 1.0
+    while length % SIXTEEN != 0:
+        at = place_of_edge(mesh * blocks * SIXTEEN + length)
+        for k in range(ROW / SIXTEEN):
+            rows[at + SIXTEEN * k] = 1.0
         length = length + 1
 
 
-# Eight edges as they are seen from a place `c`, and which of them are there.
-_EIGHT_EDGES = f"""
+# As many edges as a register holds, as they are seen from a place `c`, and which of them are there.
+_EDGES = f"""
         T ga[3], gb[3], length, per_length, times;
-        const float* row = rows.data + {ROW} * (size_t)(first + i);
+        const float* row = rows.data + {ROW} * (size_t)(first + WIDE * i / {SIXTEEN}) + WIDE * i % {SIXTEEN};
         for (int k = 0; k < 3; ++k) {{
-            __builtin_memcpy(&ga[k], row + {BEGIN} + 8 * k, 32);
-            __builtin_memcpy(&gb[k], row + {END} + 8 * k, 32);
+            __builtin_memcpy(&ga[k], row + {BEGIN} + {SIXTEEN} * k, sizeof(T));
+            __builtin_memcpy(&gb[k], row + {END} + {SIXTEEN} * k, sizeof(T));
         }}
-        __builtin_memcpy(&length, row + {LENGTH}, 32);
-        __builtin_memcpy(&per_length, row + {PER_LENGTH}, 32);
-        __builtin_memcpy(&times, row + {TIMES}, 32);
-        const M there = numbers < M{{}} + (count - 8 * i), twice = there & (times > one);
+        __builtin_memcpy(&length, row + {LENGTH}, sizeof(T));
+        __builtin_memcpy(&per_length, row + {PER_LENGTH}, sizeof(T));
+        __builtin_memcpy(&times, row + {TIMES}, sizeof(T));
+        const M there = numbers < M{{}} + (count - WIDE * i), twice = there & (times > one);
         const T ax = ga[0] - c.c[0], ay = ga[1] - c.c[1], az = ga[2] - c.c[2];
         const T bx = gb[0] - c.c[0], by = gb[1] - c.c[1], bz = gb[2] - c.c[2];
         const T ex = gb[0] - ga[0], ey = gb[1] - ga[1], ez = gb[2] - ga[2];
@@ -150,21 +156,22 @@ _TURN = f"""
         }}
 """
 _BEGIN = """
-    const M numbers = {0, 1, 2, 3, 4, 5, 6, 7};
+    M numbers;
+    for (int k = 0; k < WIDE; ++k) numbers[k] = k;
     T re = one, im = none, turns = none, error = none;
 """
 
 
 @wp.func_native(
     snippet=f"""
-    {NUMBERS}
+    {WIDEST_NUMBERS}
     wp::vec_t<23, float> found;
 #if !defined(__CUDA_ARCH__)
     {_BEGIN}
     {SUMS_OF_LOOK}
     const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
-    for (int i = 0; 8 * i < count; ++i) {{
-        {_EIGHT_EDGES}
+    for (int i = 0; WIDE * i < count; ++i) {{
+        {_EDGES}
         {_TURN}
         // The polynomial, as `cap_taylor.add_edge` has it.
         const T ny = az * ex - ax * ez, nz = ax * ey - ay * ex;
@@ -217,8 +224,8 @@ _BEGIN = """
         {MET_ACROSS}
         const M near_here = there & ~far;
         if (any(near_here | met)) {{
-            for (int j = 0; j < 8; ++j) {{
-                const int e = 8 * i + j;
+            for (int j = 0; j < WIDE; ++j) {{
+                const int e = WIDE * i + j;
                 if (near_here[j]) {{ if (near < room) stack.data[near_at + near] = e; ++near; }}
                 if (met[j]) {{ if (across < room_across) stack.data[across_at + across] = e; ++across; }}
             }}
@@ -251,11 +258,11 @@ def look_at_eights(
 
 @wp.func_native(
     snippet=f"""
-    {NUMBERS}
+    {WIDEST_NUMBERS}
 #if !defined(__CUDA_ARCH__)
     {_BEGIN}
-    for (int i = 0; 8 * i < count; ++i) {{
-        {_EIGHT_EDGES}
+    for (int i = 0; WIDE * i < count; ++i) {{
+        {_EDGES}
         {_TURN}
     }}
     {SHARES}

@@ -13,6 +13,7 @@ from sdm.bench.common.meshes import torus
 from sdm.engine.acceleration import build
 from sdm.kernels.bvh.tree import SCALE, Tree
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
+from sdm.kernels.primitives.wide_numbers import SIXTEEN
 from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
 from sdm.kernels.winding.cap_field import doubt, share_at
 from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, X, Y, Z, strips_of_box
@@ -21,7 +22,7 @@ from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_ed
 from sdm.kernels.winding.rims.edge_boxes import field_of
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 
-POINTS = 8
+POINTS = SIXTEEN
 ROOM = 2000
 
 
@@ -47,12 +48,12 @@ def _look(
     field = field_of(look, 1)
     near, across = int(look[NEAR]), int(look[ACROSS_BOX])
     at = PLACES * i
-    for k in range(8):
+    for k in range(POINTS):
         p = c + radius * ways[i, k]
         for axis in range(3):
-            numbers[at + 8 * axis + k] = p[axis]
-    strips_of_box(rows, 0, stack, 0, near, ROOM, across, c, radius, numbers, at, 1)
-    for k in range(8):
+            numbers[at + SIXTEEN * axis + k] = p[axis]
+    strips_of_box(rows, 0, stack, 0, near, ROOM, across, c, radius, numbers, at, POINTS)
+    for k in range(POINTS):
         p = wp.vec3(numbers[at + X + k], numbers[at + Y + k], numbers[at + Z + k])
         exact = boundary_winding(boundary, tree, 0, wp.vec3d(p))
         found[i, 2 * k, 0] = wp.abs(wp.float64(share_at(field, p - c) + numbers[at + SHARE + k]) - exact)
@@ -86,7 +87,7 @@ def test_shares_are_right_within_their_errors(mesh, tolerance):
     ways = rng.normal(size=(count, POINTS, 3))
     ways *= rng.uniform(0, 1, (count, POINTS, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
     ways[:20, 0] = 0
-    blocks = -(-boundary.count // 8)
+    blocks = -(-boundary.count // SIXTEEN)
     rows, packed = wp.zeros(ROW * blocks, dtype=wp.float32), wp.zeros(1, dtype=int)
     wp.launch(pack_edges, 1, inputs=[0, boundary, blocks, rows, packed], device="cpu")
     length = int(packed.numpy()[0])
