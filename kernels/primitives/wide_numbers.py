@@ -23,6 +23,7 @@ NUMBERS = """
 #else
     #pragma clang fp contract(fast)
     constexpr int WIDE = 8;
+    typedef unsigned char Mask;
     typedef float T __attribute__((vector_size(4 * WIDE)));
     typedef int M __attribute__((vector_size(4 * WIDE)));
     auto root = [](T x) { for (int k = 0; k < WIDE; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
@@ -33,7 +34,9 @@ NUMBERS = """
     auto put = [](T& x, int k, float y) { x[k] = y; };
     auto get = [](T x, int k) { return x[k]; };
     auto has = [](M m, int k) { return m[k] != 0; };
-    auto any = [](M m) { int some = 0; for (int k = 0; k < WIDE; ++k) some |= m[k]; return some != 0; };
+    typedef bool Bits __attribute__((ext_vector_type(WIDE)));
+    auto bits_of = [](M m) { return (int)__builtin_bit_cast(Mask, __builtin_convertvector(m, Bits)); };
+    auto any = [&](M m) { return bits_of(m) != 0; };
 #endif
     auto least = [&](T x, T y) { return where(x < y, x, y); };
     auto most_of = [&](T x, T y) { return where(x < y, y, x); };
@@ -44,12 +47,15 @@ NUMBERS = """
 # from has room for sixteen: of numbers of SIXTEEN places those of turn i begin at WIDE * i.
 SIXTEEN = 16
 WIDEST_NUMBERS = NUMBERS.replace(
-    "constexpr int WIDE = 8;",
+    """constexpr int WIDE = 8;
+    typedef unsigned char Mask;""",
     """
 #if defined(__AVX512F__)
     constexpr int WIDE = 16;
+    typedef unsigned short Mask;
 #else
     constexpr int WIDE = 8;
+    typedef unsigned char Mask;
 #endif
 """,
 )

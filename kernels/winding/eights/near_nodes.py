@@ -26,7 +26,6 @@ import warp as wp
 from sdm.kernels.primitives.wide_numbers import NUMBERS
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE
 from sdm.kernels.winding.eights.node_table import (
-    BITS_OF_MASK,
     EIGHT_ROWS,
     HAND_DOWN,
     HANDED,
@@ -117,7 +116,6 @@ _ADD_NODES = f"""
     {NUMBERS}
     wp::vec_t<22, float> found;
 #if !defined(__CUDA_ARCH__)
-    {BITS_OF_MASK}
     const M numbers = {{0, 1, 2, 3, 4, 5, 6, 7}};
     wp::int32* const nodes = stack.data + at;
     double value = 0.0;
@@ -158,7 +156,7 @@ _ADD_NODES = f"""
             far = bits_of(taken) & there;
             if (far) {{
                 const T per = one / left2;
-                const M mask = (M{{}} + far & powers) != 0;
+                const M mask = (M{{}} + far & M{{1, 2, 4, 8, 16, 32, 64, 128}}) != 0;
                 errors = errors + where(mask, per * (part + v[5]), none);
                 drifts = drifts + where(mask, wide_off * area * per, none);
             }}

@@ -7,7 +7,7 @@ import warp as wp
 from sdm.kernels.primitives.wide_numbers import NUMBERS
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen
-from sdm.kernels.winding.eights.node_table import BITS_OF_MASK, EIGHT_ROWS, EXACT, LEAST, LISTED, ROW
+from sdm.kernels.winding.eights.node_table import EIGHT_ROWS, EXACT, LEAST, LISTED, ROW
 from sdm.kernels.winding.near_caps import FULL, LARGEST_PRODUCT, ROUNDINGS, SNAP, UNIT, WIDER
 
 wp.set_module_options({"enable_backward": False})
@@ -25,7 +25,6 @@ FEWER = 200.0 * UNIT
     T px, py, pz, sum = none, total = none;
     for (int k = 0; k < 8; ++k) {{ px[k] = xs.c[k]; py[k] = ys.c[k]; pz[k] = zs.c[k]; }}
     const float wide = radius * {WIDER}f;
-    {BITS_OF_MASK}
     const M numbers = {{0, 1, 2, 3, 4, 5, 6, 7}};
     T errors = none, drifts = none;
     int near = 0;

@@ -59,9 +59,3 @@ EIGHT_ROWS = """
             }
         }
 """
-# A bit for each number of a mask.
-BITS_OF_MASK = """
-    const M powers = {1, 2, 4, 8, 16, 32, 64, 128};
-    typedef bool Bits __attribute__((ext_vector_type(8)));
-    auto bits_of = [](M m) { return (int)__builtin_bit_cast(unsigned char, __builtin_convertvector(m, Bits)); };
-"""

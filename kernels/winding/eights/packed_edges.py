@@ -224,11 +224,10 @@ _BEGIN = """
         {MET_ACROSS}
         const M near_here = there & ~far;
         if (any(near_here | met)) {{
-            for (int j = 0; j < WIDE; ++j) {{
-                const int e = WIDE * i + j;
-                if (near_here[j]) {{ if (near < room) stack.data[near_at + near] = e; ++near; }}
-                if (met[j]) {{ if (across < room_across) stack.data[across_at + across] = e; ++across; }}
-            }}
+            for (unsigned left = bits_of(near_here); left; left &= left - 1, ++near)
+                if (near < room) stack.data[near_at + near] = WIDE * i + __builtin_ctz(left);
+            for (unsigned left = bits_of(met); left; left &= left - 1, ++across)
+                if (across < room_across) stack.data[across_at + across] = WIDE * i + __builtin_ctz(left);
         }}
     }}
     {LOOK_OF_SUMS}
