@@ -53,7 +53,7 @@ SHORTEST = 1.0e-15
 
 @wp.func
 def place_of_edge(number: int):
-    """Where the first of an edge's numbers is."""
+    """Place of the first of an edge's numbers."""
     return ROW * (number / SIXTEEN) + number % SIXTEEN
 
 
