@@ -34,7 +34,12 @@ def box_of_rows(first: wp.vec4, second: wp.vec4):
 @wp.func
 def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
     """The box of up to size^3 voxels from `start`, in scaled coordinates."""
-    last = wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1)
+    return box_between(slab, start, wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1), scale)
+
+
+@wp.func
+def box_between(slab: Slab, start: wp.vec3i, last: wp.vec3i, scale: float):
+    """The box of the voxels from `start` to `last`, in scaled coordinates."""
     low = voxel(slab, start[0], start[1], start[2])
     high = voxel(slab, last[0], last[1], last[2])
     if slab.turned != 0:

@@ -50,7 +50,6 @@ from sdm.kernels.winding.open_caps import (
     LOOKED,
     MOST_FIRST,
     NEXT,
-    PLAIN,
     SETTLED,
     STRIDE,
     TOLERANCES,
@@ -59,7 +58,7 @@ from sdm.kernels.winding.open_caps import (
     voxel_of_piece,
 )
 from sdm.kernels.winding.open_caps import LENGTH as OF_LISTED
-from sdm.kernels.winding.rims.doubtful_voxels import place_of_voxel, without_caps
+from sdm.kernels.winding.rims.exact_voxels import place_of_voxel, without_caps
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
@@ -336,7 +335,7 @@ def open_caps_by_eights(
             left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
         if bits > LARGEST:
             limits = [TOLERANCES["cpu"][level] * FULL, LISTED["cpu"][level], SETTLED["cpu"][level]]
-            inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), 0, 0, PLAIN["cpu"]]
+            inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), 0]
             inputs += [boxes, octants, left, left_octants, counts, large, 1, values]
             launch(_open_boxes, workers, inputs, device, smallest=1)
             continue

@@ -13,7 +13,7 @@ import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums, open_caps
-from sdm.kernels.winding.rims import edge_boxes, every_voxel
+from sdm.kernels.winding.rims import doubtful_voxels, edge_boxes, every_voxel
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -95,10 +95,11 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
     """Also where boxes of some size, or all voxels, are left to the sum over all edges, or by edges alone."""
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     with pytest.MonkeyPatch.context() as patch:
-        # Boxes of 2^3 or of 4^3 look again at what they leave in doubt, or none; also with little room for near caps.
-        patch.setitem(open_caps.TOGETHER, "cpu", (0, 1, 1)[seed % 3] if last >= 0 else -1)
-        patch.setitem(open_caps.AGAIN, "cpu", (open_caps.AGAIN["cpu"], (1e-6, 6, 9), (1e-5, 40, 0))[seed % 3])
-        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
+        # Boxes of 4^3 are looked at again, or not; also with little room for nodes and caps.
+        patch.setattr(open_caps, "AGAIN", (open_caps.AGAIN, (1e-6,), (1e-4, 1e-5))[seed % 3] if last >= 0 else ())
+        patch.setattr(open_caps, "ROOM_AGAIN", (open_caps.ROOM_AGAIN, 6, 60)[seed // 3 % 3])
+        patch.setattr(open_caps, "SUMMED", ((last, np.inf, np.inf),) if last > 0 else ())
+        patch.setattr(doubtful_voxels, "MANY", 4000 if seed % 5 else 3)
         patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
@@ -119,7 +120,7 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
         patch.setattr(sdm.engine.structure.sizes, "MOST_FOR_GROUPS", 0)
-        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
+        patch.setattr(open_caps, "SUMMED", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
@@ -167,7 +168,7 @@ def test_a_gpu_has_the_same_bits_by_either_way(monkeypatch, share):
         # Large boxes first, as large maps have them, or small ones.
         monkeypatch.setitem(open_caps.MOST_FIRST, "cuda", (16, 8192)[seed % 2])
         # What boxes of these sizes leave in doubt is summed up over all edges.
-        monkeypatch.setitem(open_caps.SUMMED, "cuda", ((1 + seed % 3, np.inf, np.inf),))
+        monkeypatch.setattr(open_caps, "SUMMED", ((1 + seed % 3, np.inf, np.inf),))
         monkeypatch.setitem(every_voxel.MOST_SUMS, "cuda", np.inf if seed == 3 else 0)
         monkeypatch.setitem(edge_boxes.MOST_EDGES, "cuda", np.inf if seed > 3 else 0)
         monkeypatch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))

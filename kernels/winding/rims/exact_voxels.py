@@ -1,0 +1,125 @@
+"""Voxels that no sum in float32 decides, by the sum over all boundary edges in float64: a block of threads for each.
+
+A group of lanes took as long for one of them, with some ten thousand edges, as a GPU for all that it had done before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.launch import launch, threads
+from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import sum_of_lanes_in_double
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.ray_crossings import count_crossings
+
+wp.set_module_options({"enable_backward": False})
+
+# Threads of a block on a GPU.
+THREADS = 512
+
+
+@wp.func
+def without_caps(tree: Tree, caps: Caps, mesh: int, p: wp.vec3d, whole: float):
+    """The crossings of the surface alone by the ray from p (scaled), from the winding number of surface and caps."""
+    one = tree_of(caps.tree, mesh)
+    if caps.are_faces != 0:
+        one = tree_of(tree, mesh)
+    crossings = float(count_crossings(one, mesh, p))
+    return wp.where(caps.are_faces != 0, crossings, whole - crossings)
+
+
+@wp.func
+def open_voxel(
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    mesh: int,
+    p: wp.vec3d,
+    whole: float,
+    lane: int,
+    lanes: int,
+):
+    """The winding number at p (scaled) by the sum over all boundary edges, from that of surface and caps."""
+    share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
+    return without_caps(tree, caps, mesh, p, whole) + float(share)
+
+
+@wp.func
+def place_of_voxel(tree: Tree, slab: Slab, mesh: int, v: wp.vec3i):
+    """A voxel's place, scaled: a power of two times float32 numbers, which is exact."""
+    return tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), v[0], v[1], v[2]))
+
+
+@wp.func_native(
+    snippet=f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ double sums[{THREADS} / 32];
+    for (int step = 16; step > 0; step >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+    // All have read what was there before.
+    __syncthreads();
+    if (threadIdx.x % 32 == 0)
+        sums[threadIdx.x / 32] = value;
+    __syncthreads();
+    value = 0.0;
+    for (int k = 0; k < {THREADS} / 32; ++k)
+        value += sums[k];
+#endif
+    return value;
+"""
+)
+def sum_of_block(value: wp.float64) -> wp.float64:
+    """The sum of the values of all threads of a block, the same for each; on a CPU of the only one."""
+    ...
+
+
+@wp.kernel(launch_bounds=(THREADS, 1))
+def _sum_exactly(
+    begin: int,
+    lanes: int,
+    blocks: int,
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    surface: int,
+    slab: Slab,
+    unsure: wp.array(dtype=wp.int32),
+    listed: int,
+    exact: int,
+    counts: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open the voxels of a list. `surface` is 1 if values are the crossings of the surface alone; `listed` and `exact`
+    are places of the counts: how many there are, if there was room for them, and how many were added up here.
+    """
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    item = thread / lanes
+    while item < wp.min(counts[listed], unsure.shape[0]):
+        mesh, v = unravel(unsure[item], slab.shape)
+        p = place_of_voxel(tree, slab, mesh, v)
+        share = sum_of_block(boundary_part(boundary, tree, mesh, p, lane, lanes))
+        if lane == 0:
+            winding = values[mesh, v[0], v[1], v[2]]
+            if surface == 0:
+                winding = without_caps(tree, caps, mesh, p, winding)
+            values[mesh, v[0], v[1], v[2]] = winding + float(share)
+            fetch_add(counts, exact, 1)
+        item = item + blocks
+
+
+def sum_exactly(
+    tree: Tree, boundary: Boundary, caps: Caps, surface: int, slab: Slab, unsure: wp.array, places: Sequence[int],
+    counts: wp.array, values: wp.array,
+) -> None:  # fmt: skip
+    """Launch it; for the arguments see there."""
+    device = values.device
+    lanes, blocks = (THREADS, device.sm_count) if device.is_cuda else (1, threads())
+    inputs = [lanes, blocks, tree, boundary, caps, surface, slab, unsure, *places, counts, values]
+    launch(_sum_exactly, blocks * lanes, inputs, device, lanes, smallest=1)
