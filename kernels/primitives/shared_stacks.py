@@ -16,8 +16,8 @@ wp.set_module_options({"enable_backward": False})
 STACK = 1024
 # Three lists of features, of each at most 31 that wait and the 32 of one batch.
 SMALL_STACK = 192
-# A descent, and two lists: of 640 and 320 in shared memory, of 2,048 elsewhere.
-LARGE_STACK = 1728
+# A descent, two lists, of 640 and 320 in shared memory, of 2,048 elsewhere, and there 64 nodes that wait.
+LARGE_STACK = 1792
 LARGE_STACK_ON_CPU = 4864
 
 

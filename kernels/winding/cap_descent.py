@@ -47,12 +47,14 @@ _ROWS = MOMENTS_SIZE // 4
 # An error of so much, a quarter of the winding number, leaves every side open.
 HOPELESS = wp.PI
 # Places of a stack, of which parts of a group of lanes have parts: nodes of a descent, at most one for each lane and
-# each of 22 levels; single caps that wait; near caps (`near_list_of`); and nodes that are handed down, to all parts.
+# each of 22 levels; single caps that wait; near caps (`near_list_of`); nodes that are handed down, to all parts; and
+# far nodes that wait, which on a CPU is one at a time.
 _NODES, _SINGLES = 22, 2
 _SINGLE = GPU_LANES * _NODES
 _HANDED_ON_GPU = NEAR_LIST + GPU_LANES * NEAR_EACH
-MOST_NEAR = {"cuda": LARGE_STACK - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
-_ALL_ON_GPU = LARGE_STACK - NEAR_LIST
+_FAR_ON_GPU, _FAR_ON_CPU = LARGE_STACK - 2 * GPU_LANES, _SINGLE - 1
+MOST_NEAR = {"cuda": _FAR_ON_GPU - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
+_ALL_ON_GPU = _FAR_ON_GPU - NEAR_LIST
 _NEAR_ON_GPU, _NEAR_ON_CPU = MOST_NEAR["cuda"], MOST_NEAR["cpu"]
 # A node that is near is handed down without being opened if it is no larger than so many radii of the box: opened, it
 # would be near again.
@@ -127,10 +129,10 @@ def see_caps(
 ):
     """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes or by each part.
 
-    Single caps that no multipole tells wait on the stack until there is one for each lane. If the radius is zero, they
-    are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others are listed
-    on the stack (`near_list_of`), at most MOST_NEAR, and at most a part's share; if there are more, none is, and they
-    count as errors.
+    Single caps that no multipole tells wait on the stack until there is one for each lane, and so do far nodes, as
+    adding one takes longer than looking at it. If the radius is zero, caps are added exactly. Else those whose Taylor
+    polynomial will do are added, and up to `room` of the others are listed on the stack (`near_list_of`), at most
+    MOST_NEAR, and at most a part's share; if there are more, none is, and they count as errors.
 
     Parts of a group descend beside each other, each for a ball of its own: what is near a box is little, and would
     leave most lanes of a group without work.
@@ -163,11 +165,13 @@ def see_caps(
     nodes_at = _NODES * first
     singles_at = _SINGLE + _SINGLES * first
     near_at = NEAR_LIST + NEAR_EACH * first
+    far_at = wp.where(on_cpu(), _FAR_ON_CPU, _FAR_ON_GPU + 2 * first)
     field = Field()
     steps = float(0.0)
     near = int(0)
     single = int(0)
     waiting = int(0)
+    queued = int(0)
     # Of what was handed down, what has not been looked at.
     rest = wp.max(handed, 0)
     # So many single caps may wait when nodes are looked at.
@@ -187,17 +191,32 @@ def see_caps(
     elif mine == 0:
         field = begin
     wait_for_lanes()
-    while ballot(waiting + single + rest > 0) != wp.uint32(0):
+    while ballot(waiting + single + rest + queued > 0) != wp.uint32(0):
         node = int(0)
         opened = bool(False)
         alone = bool(False)
         listed = bool(False)
+        far = bool(False)
         looks = int(0)
-        if single <= full:
+        if single <= full and queued <= some:
             looks = wp.min(some, waiting + rest)
-        # All parts look at nodes, or all at single caps, once these are enough for most lanes.
+        # All parts look at nodes, or all add far ones or single caps, once these are enough for most lanes.
         ready = members(ballot(mine < single))
-        if ballot(looks > 0) != wp.uint32(0) and (on_cpu() or 4 * ready < 3 * lanes):
+        ready_far = members(ballot(mine < queued))
+        can_look = ballot(looks > 0) != wp.uint32(0)
+        if 4 * ready_far >= 3 * lanes or (ready_far > 0 and not can_look and ready <= ready_far):
+            taken = wp.min(some, queued)
+            queued = queued - taken
+            if mine < taken:
+                node = base + stack[far_at + queued + mine]
+                r0 = load4(caps.moments, _ROWS * node)
+                r1 = load4(caps.moments, _ROWS * node + 1)
+                u = wp.vec3(r0[0], r0[1], r0[2]) - centre
+                m = load_rest(caps.moments, node, r0, r1)
+                m4 = load_fourth(caps.moments, node)
+                field = add_node(field, m, m4, u, about_inverse_root(wp.dot(u, u)), radius)
+                steps = steps + 1.0
+        elif can_look and (on_cpu() or 4 * ready < 3 * lanes):
             taken = wp.min(looks, waiting)
             more = looks - taken
             waiting = waiting - taken
@@ -225,12 +244,9 @@ def see_caps(
                             inverse2 = about_quotient(1.0, left * left)
                             bound = part * inverse2
                     if bound < wp.inf:
-                        m = load_rest(caps.moments, base + node, r0, r1)
-                        m4 = load_fourth(caps.moments, base + node)
-                        field = add_node(field, m, m4, u, inverse, radius)
                         field.error = field.error + WIDER * (bound + r1[1] * inverse2)
                         field.drift = field.drift + WIDER * radius * inverse * r1[0] * inverse2
-                        steps = steps + 1.0
+                        far = bool(True)
                     elif keep and node < leaves and r0[3] <= SMALL * radius:
                         listed = bool(True)
                     elif node < leaves:
@@ -250,6 +266,10 @@ def see_caps(
                 stack[place] = 2 * node
                 stack[place + 1] = 2 * node + 1
             waiting = waiting + 2 * members(mask)
+            mask = ballot_of_some(far, lane, some)
+            if far:
+                stack[far_at + queued + rank(mask, mine)] = node
+            queued = queued + members(mask)
             mask = ballot_of_some(alone, lane, some)
             if alone:
                 stack[singles_at + single + rank(mask, mine)] = node
@@ -295,6 +315,7 @@ def see_caps(
             waiting = int(0)
             single = int(0)
             rest = int(0)
+            queued = int(0)
         wait_for_lanes()
     field.error = field.error + 4.0 * UNIT * (steps + 6.0) * field.drift
     field = sum_of_parts(field, some, ballot(radius > 0.0) != wp.uint32(0))

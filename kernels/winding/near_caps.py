@@ -138,7 +138,7 @@ SEEN = f"""
         const float inverse = inverse_of(scale), part = inverse * least;
 """
 # A factor of the product of all.
-_FACTOR = f"""
+FACTOR = f"""
         const float x = known ? f * part : 1.0f, y = known ? v * part : 0.0f, turned = fabsf(y);
         const float off = {2.0 * SECOND}f * inverse * (turned * along + across);
         error = known ? error + off + ({2.0 * TURNED_MORE}f * turned + {2.0 * TURNED}f) : INFINITY;
@@ -178,7 +178,7 @@ _FACTOR = f"""
             const float x2 = r2.x, y2 = r2.y, z2 = r2.z;
             const float nx = r2.w, ny = r3.x, nz = r3.y, rounded = r0.w, snapped = r1.w;
             {SEEN}
-            {_FACTOR}
+            {FACTOR}
         }}
         // A factor is between 1 and 1.5, and these are up to 32: this is long before an overflow.
         const float shrink = fabsf(re) + fabsf(im) > {LARGEST_PRODUCT}f ? {1.0 / LARGEST_PRODUCT}f : 1.0f;
@@ -190,7 +190,7 @@ _FACTOR = f"""
         const int place = stack.data[at + i];
         {CAP}
         {SEEN}
-        {_FACTOR}
+        {FACTOR}
         const float shrink = fabsf(re) + fabsf(im) > {LARGEST_PRODUCT}f ? {1.0 / LARGEST_PRODUCT}f : 1.0f;
         re *= shrink;
         im *= shrink;

@@ -42,6 +42,11 @@ from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.looks.look_again import look_again
 from sdm.kernels.winding.looks.mixed_descent import ROOM
+from sdm.kernels.winding.looks.places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
+from sdm.kernels.winding.looks.records import new_records
+from sdm.kernels.winding.looks.see_boxes import see_boxes
+from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
+from sdm.kernels.winding.looks.settle_boxes import settle_boxes
 from sdm.kernels.winding.near_caps import FULL, WIDER, near_list_of
 from sdm.kernels.winding.octants import is_one, octants_to_open, parts_of_lanes
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
@@ -49,8 +54,6 @@ from sdm.kernels.winding.settled_boxes import settle_box
 
 wp.set_module_options({"enable_backward": False})
 
-# Boxes of 2^5 voxels along each edge, and so on; single voxels twice.
-BITS = (5, 4, 3, 2, 1, 0, 0)
 # The first boxes are the smallest ones of which there are no more than this: a GPU has to be filled, and a launch costs
 # more than looking at a box. Those of 2^3 are listed for what follows.
 MOST_FIRST = {"cuda": 8192, "cpu": 16}
@@ -73,13 +76,9 @@ FEW = 2
 SUMMED: tuple[tuple[int, float, float], ...] = ((3, 64, math.inf), (2, 1300, math.inf), (2, 3000, 1 << 21))
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
 FEWEST_ITEMS = 3, 4
-# Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how
-# many of their octants, or voxels, were looked at; and how many voxels wait for float64.
-NEXT, LENGTH, LOOKED, STRIDE = 0, 1, 2, 3
-EXACT = STRIDE * len(BITS) + LOOKED
-ALONE = BITS.index(0)
-UNSURE = EXACT + 1
-COUNTS = UNSURE + 1
+# Boxes that are recorded at a time, at most; and near caps of these, for one of so many voxels, but never less or more.
+# Boxes for which there is no room are left to what comes after.
+MOST_RECORDS, NEAR_OF, ROOM_FOR_NEAR = 1 << 18, 2, (1 << 20, 1 << 23)
 
 
 @wp.func
@@ -266,13 +265,20 @@ def open_caps(
     smallest, first = next(fits, 0), first_level(meshes, shape, MOST_FIRST[kind])
     cells, level = (1, 1, 1), first
     left = lists()
+    last = meshes * math.prod(-(-n >> BITS[LAST]) for n in shape)
+    least, most = ROOM_FOR_NEAR
+    records = new_records(min(MOST_RECORDS, last), max(least, min(most, values.size // NEAR_OF)), empty)
     while level == first or (level <= LAST and BITS[level] >= smallest):
-        parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (BITS[level] + 1, BITS[level]))
+        bits = BITS[level]
+        parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         boxes, left = left, lists()
         limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
-        inputs = [caps, slab, BITS[level], *limits, parents, cells, level, int(level == first), fewest]
-        inputs += [*boxes, *left, counts, stacks, lanes, values]
-        launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
+        inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), fewest]
+        inputs += [*boxes, *left, records, counts, stacks, lanes, values]
+        launch(see_boxes, workers * lanes, inputs, device, smallest=1)
+        settlers = gpu_workers(device, SETTLERS) if device.is_cuda else workers
+        inputs = [caps, slab, bits, cells, level, records, *left, counts, lanes, values]
+        launch(settle_boxes, settlers * lanes, inputs, device, smallest=1)
         level += 1
     bits = BITS[level - 1]
     for tolerance in AGAIN if bits > smallest else ():

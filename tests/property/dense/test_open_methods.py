@@ -98,6 +98,8 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         # Boxes of 4^3 are looked at again, or not; also with little room for nodes and caps.
         patch.setattr(open_caps, "AGAIN", (open_caps.AGAIN, (1e-6,), (1e-4, 1e-5))[seed % 3] if last >= 0 else ())
         patch.setattr(open_caps, "ROOM_AGAIN", (open_caps.ROOM_AGAIN, 6, 60)[seed // 3 % 3])
+        patch.setattr(open_caps, "MOST_RECORDS", (open_caps.MOST_RECORDS, 5)[seed // 7 % 2])
+        patch.setattr(open_caps, "ROOM_FOR_NEAR", (open_caps.ROOM_FOR_NEAR, (9, 9))[seed // 11 % 2])
         patch.setattr(open_caps, "SUMMED", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setattr(doubtful_voxels, "MANY", 4000 if seed % 5 else 3)
         patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
