@@ -16,9 +16,11 @@ wp.set_module_options({"enable_backward": False})
 STACK = 1024
 # Three lists of features, of each at most 31 that wait and the 32 of one batch.
 SMALL_STACK = 192
-# A descent, two lists, of 640 and 320 in shared memory, of 2,048 elsewhere, and there 64 nodes that wait.
-LARGE_STACK = 1792
-LARGE_STACK_ON_CPU = 4864
+# A descent, two lists, of 640 and 320 in shared memory, of 2,048 elsewhere, and there 64 nodes that wait; and last a
+# field of so many numbers.
+FIELD_PLACES = 32
+LARGE_STACK = 1792 + FIELD_PLACES
+LARGE_STACK_ON_CPU = 4864 + FIELD_PLACES
 
 
 def _place(size: int, on_cpu: int = 0) -> str:

@@ -26,7 +26,7 @@ from sdm.kernels.primitives.lanes import (
     rank,
     wait_for_lanes,
 )
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU
+from sdm.kernels.primitives.shared_stacks import FIELD_PLACES, LARGE_STACK, LARGE_STACK_ON_CPU
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
@@ -52,8 +52,8 @@ HOPELESS = wp.PI
 _NODES, _SINGLES = 22, 2
 _SINGLE = GPU_LANES * _NODES
 _HANDED_ON_GPU = NEAR_LIST + GPU_LANES * NEAR_EACH
-_FAR_ON_GPU, _FAR_ON_CPU = LARGE_STACK - 2 * GPU_LANES, _SINGLE - 1
-MOST_NEAR = {"cuda": _FAR_ON_GPU - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
+_FAR_ON_GPU, _FAR_ON_CPU = LARGE_STACK - FIELD_PLACES - 2 * GPU_LANES, _SINGLE - 1
+MOST_NEAR = {"cuda": _FAR_ON_GPU - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - FIELD_PLACES - NEAR_LIST) // 2}
 _ALL_ON_GPU = _FAR_ON_GPU - NEAR_LIST
 _NEAR_ON_GPU, _NEAR_ON_CPU = MOST_NEAR["cuda"], MOST_NEAR["cpu"]
 # A node that is near is handed down without being opened if it is no larger than so many radii of the box: opened, it

@@ -66,6 +66,50 @@ def read_field(records: Records, slot: int):
     return f
 
 
+@wp.func_native(snippet="reinterpret_cast<float*>(stack.data)[at] = value;")
+def put_number(stack: wp.array(dtype=wp.int32), at: int, value: float):
+    """Write a number to a place of a stack."""
+    ...
+
+
+@wp.func_native(snippet="return reinterpret_cast<const float*>(stack.data)[at];")
+def number_at(stack: wp.array(dtype=wp.int32), at: int) -> float:
+    """A number that was written to a place of a stack."""
+    ...
+
+
+@wp.func
+def put_field(stack: wp.array(dtype=wp.int32), at: int, f: Field):
+    """Write a field to a stack, to FIELD_SIZE places: what is not needed for long has no place in registers."""
+    high = float(f.value)
+    put_number(stack, at, high)
+    put_number(stack, at + 1, float(f.value - wp.float64(high)))
+    put_number(stack, at + 2, f.error)
+    put_number(stack, at + 3, f.drift)
+    for axis in range(3):
+        put_number(stack, at + 4 + axis, f.slope[axis])
+        put_number(stack, at + 7 + axis, f.squares[axis])
+        put_number(stack, at + 10 + axis, f.products[axis])
+    for number in range(7):
+        put_number(stack, at + 13 + number, f.cubes[number])
+
+
+@wp.func
+def field_at(stack: wp.array(dtype=wp.int32), at: int):
+    """A field that was written to a stack, without what is near."""
+    f = Field()
+    f.value = wp.float64(number_at(stack, at)) + wp.float64(number_at(stack, at + 1))
+    f.error = number_at(stack, at + 2)
+    f.drift = number_at(stack, at + 3)
+    for axis in range(3):
+        f.slope[axis] = number_at(stack, at + 4 + axis)
+        f.squares[axis] = number_at(stack, at + 7 + axis)
+        f.products[axis] = number_at(stack, at + 10 + axis)
+    for number in range(7):
+        f.cubes[number] = number_at(stack, at + 13 + number)
+    return f
+
+
 @wp.func
 def put_record(
     records: Records,

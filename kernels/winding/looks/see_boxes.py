@@ -13,8 +13,8 @@ from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE
 from sdm.kernels.geometry.voxel_box import box_of_voxels, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, bit_at, one_on_cpu, unknown, wait_for_lanes
-from sdm.kernels.primitives.shared_stacks import large_stack_of
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, bit_at, on_cpu, one_on_cpu, unknown, wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import FIELD_PLACES, LARGE_STACK, LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field
 from sdm.kernels.winding.cap_tree import Caps
@@ -26,12 +26,15 @@ from sdm.kernels.winding.looks.places import (
     RECORDED_NEAR,
     STRIDE,
 )
-from sdm.kernels.winding.looks.records import Records, put_record
+from sdm.kernels.winding.looks.records import Records, field_at, put_field, put_record
 from sdm.kernels.winding.near_caps import WIDER, near_list_of
 from sdm.kernels.winding.octants import is_one, octants_to_open, parts_of_lanes
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT
 
 wp.set_module_options({"enable_backward": False})
+
+# The place in a stack of the field of a whole box, behind the lists of a descent.
+_ON_GPU, _ON_CPU = LARGE_STACK - FIELD_PLACES, LARGE_STACK_ON_CPU - FIELD_PLACES
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
@@ -66,6 +69,7 @@ def see_boxes(
     thread = begin + wp.tid()
     lane = thread % lanes
     stack = large_stack_of(stacks, thread / lanes)
+    whole_at = wp.where(on_cpu(), _ON_CPU, _ON_GPU)
     total = values.shape[0] * parents[0] * parents[1] * parents[2]
     if first == 0:
         total = counts[STRIDE * level + LENGTH]
@@ -83,16 +87,15 @@ def see_boxes(
         mesh, at = unravel(number, parents)
         some = octants_to_open(slab, values, mesh, at, bits, some)
         scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
-        whole = Field()
-        whole.error = float(wp.inf)
+        whole_near = int(-1)
         middle = wp.vec3()
         reach = float(0.0)
         # First the box, then its octants: as many beside each other as what is near leaves room for.
         keep = not is_one(some)
         while some != 0:
             parts = int(1)
-            if not keep and whole.error < wp.inf:
-                parts = parts_of_lanes(some, whole.near, lanes)
+            if not keep and whole_near >= 0:
+                parts = parts_of_lanes(some, whole_near, lanes)
             parts = one_on_cpu(parts)
             part = one_on_cpu(lanes / parts)
             octant = bit_at(some, lane / part)
@@ -113,15 +116,19 @@ def see_boxes(
                 reach = radius
             else:
                 way = box.centre - middle
-                if whole.error < wp.inf and wp.length(way) + radius <= reach:
-                    field = moved_field(whole, way)
-                    handed = whole.near
+                if whole_near >= 0 and wp.length(way) + radius <= reach:
+                    field = moved_field(field_at(stack, whole_at), way)
+                    handed = whole_near
             field = see_caps(
                 caps, mesh, box.centre, radius, tolerance, listed, field, handed, keep, True, 0, stack, lane, lanes,
                 part, idle,
             )  # fmt: skip
             if keep:
-                whole = field
+                if field.error < wp.inf:
+                    whole_near = field.near
+                if lane == 0:
+                    put_field(stack, whole_at, field)
+                wait_for_lanes()
                 keep = bool(False)
             else:
                 far = largest_share(field, most_change(field, box.half)) < LARGEST_SHARE
