@@ -1,0 +1,120 @@
+"""Solid angles of caps from a ball, by its field, nodes and single caps, are right within their errors."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from sdm.bench.common.dirty_meshes.by_code import boxes, half_spheres, loose, torn, turned
+from sdm.bench.common.meshes import torus
+from sdm.engine.acceleration import build
+from sdm.kernels.bvh.tree import SCALE, tree_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
+from sdm.kernels.winding.cap_field import doubt, share_at
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.looks.mixed_descent import END, NODES, ROOM, look_closer
+from sdm.kernels.winding.looks.near_pair import near_pair
+from sdm.kernels.winding.looks.node_sum import node_sum
+from sdm.kernels.winding.near_caps import FULL
+
+
+@wp.kernel(enable_backward=False)
+def _shares(
+    caps: Caps,
+    balls: wp.array(dtype=wp.vec4),
+    points: wp.array2d(dtype=wp.vec3),
+    tolerance: float,
+    room: int,
+    stacks: wp.array(dtype=int),
+    found: wp.array3d(dtype=wp.float64),
+    listed: wp.array2d(dtype=int),
+):
+    i = wp.tid()
+    stack = large_stack_of(stacks, i)
+    c = wp.vec3(balls[i][0], balls[i][1], balls[i][2])
+    seen = look_closer(caps, 0, c, balls[i][3], tolerance, room, stack, 0, 1)
+    listed[i, 0] = seen.nodes
+    listed[i, 1] = seen.caps
+    base = tree_of(caps.tree, 0).root
+    for k in range(0, points.shape[1], 2):
+        p = points[i, k]
+        q = points[i, k + 1]
+        near = near_pair(caps.tree.corners, seen.caps, p, q, stack, END - seen.caps)
+        first = node_sum(caps.moments, base, stack, NODES, seen.nodes, p, 0, 1) + near[0]
+        second = node_sum(caps.moments, base, stack, NODES, seen.nodes, q, 0, 1) + near[2]
+        found[i, k, 0] = wp.float64(share_at(seen.field, p - c) + first / FULL)
+        found[i, k + 1, 0] = wp.float64(share_at(seen.field, q - c) + second / FULL)
+        found[i, k, 1] = wp.float64(doubt(seen.field) + near[1] / FULL)
+        found[i, k + 1, 1] = wp.float64(doubt(seen.field) + near[3] / FULL)
+
+
+def exact(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Solid angles of triangles (N, 3, 3) seen from points (P, 3), over a full one, in float64."""
+    a, b, c = np.moveaxis(corners[None] - points[:, None, None], 2, 0)
+    la, lb, lc = (np.linalg.norm(each, axis=2) for each in (a, b, c))
+    v = (a * np.cross(b, c)).sum(2)
+    f = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
+    return (2 * np.arctan2(v, f)).sum(1) / FULL
+
+
+MESHES = {
+    "torn": lambda: torn(torus(2000), 0.3),
+    "turned": lambda: turned(torus(2000), 0.5),
+    "loose": lambda: loose(torus(2000), 0.01),
+    "half spheres": lambda: half_spheres(60, 8),
+    "boxes": lambda: boxes(60),
+}
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 3e-7])
+@pytest.mark.parametrize("name", MESHES)
+def test_within_the_error(name, tolerance):
+    vertices, faces = MESHES[name]()
+    structure = build(torch.tensor(vertices)[None], torch.tensor(faces))
+    tree, winding = structure.view[:2]
+    caps = winding.caps
+    scale = float(tree.frame.numpy()[SCALE])
+    corners = caps.tree.corners.numpy().reshape(-1, 4, 3)[:, :3]
+    rng = np.random.default_rng(3)
+    count, voxels = 300, 8
+    low, high = scale * vertices.min(0), scale * vertices.max(0)
+    radius = (high - low).max() * 10.0 ** rng.uniform(-3, -1.3, count)
+    centres = rng.uniform(low, high, (count, 3))
+    centres[::2] = corners[rng.integers(0, len(corners), count // 2)].mean(1)
+    ways = rng.normal(size=(count, voxels, 3))
+    ways *= rng.uniform(0, 0.999, (count, voxels, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
+    points = (centres[:, None] + radius[:, None, None] * ways).astype(np.float32)
+    centres = centres.astype(np.float32)
+    stacks = wp.zeros(count * LARGE_STACK_ON_CPU, dtype=int, device="cpu")
+    found = wp.zeros((count, voxels, 2), dtype=wp.float64, device="cpu")
+    listed = wp.zeros((count, 2), dtype=int, device="cpu")
+    balls = wp.array(np.c_[centres, 1.0001 * radius].astype(np.float32), dtype=wp.vec4, device="cpu")
+    given = wp.array(points, dtype=wp.vec3, device="cpu")
+    inputs = [caps, balls, given, tolerance * FULL, ROOM, stacks, found, listed]
+    wp.launch(_shares, count, inputs, device="cpu")
+    share, error = np.moveaxis(found.numpy(), 2, 0)
+    known = np.isfinite(error)
+    truth = exact(corners.astype(float), points.reshape(-1, 3).astype(float)).reshape(count, voxels)
+    assert known.mean() > 0.5
+    # As `is_sure` has it, what float32 adds in the end.
+    assert (np.abs(share - truth) <= error + 2e-6 + 1e-6 * np.abs(truth))[known].all()
+    # What float32 leaves however small the tolerance is.
+    assert np.median(error[known]) < 100 * tolerance + 5e-4
+    assert listed.numpy()[:, 0].max() > 0
+
+
+def test_nothing_is_known_without_room():
+    vertices, faces = MESHES["torn"]()
+    structure = build(torch.tensor(vertices)[None], torch.tensor(faces))
+    caps = structure.view[1].caps
+    corner = caps.tree.corners.numpy()[0]
+    balls = wp.array(np.array([[*corner, 0.01]], np.float32), dtype=wp.vec4, device="cpu")
+    points = wp.array(corner.reshape(1, 1, 3).repeat(2, 1) + np.float32(1e-3), dtype=wp.vec3, device="cpu")
+    stacks = wp.zeros(LARGE_STACK_ON_CPU, dtype=int, device="cpu")
+    found, listed = wp.zeros((1, 2, 2), dtype=wp.float64, device="cpu"), wp.zeros((1, 2), dtype=int, device="cpu")
+    wp.launch(_shares, 1, [caps, balls, points, 1e-7, 5, stacks, found, listed], device="cpu")
+    assert np.isinf(found.numpy()[0, :, 1]).all()
+    assert (listed.numpy() == 0).all()
