@@ -102,7 +102,7 @@ def test_within_the_error(name, tolerance):
     # As `is_sure` has it, what float32 adds in the end.
     assert (np.abs(share - truth) <= error + 2e-6 + 1e-6 * np.abs(truth))[known].all()
     # What float32 leaves however small the tolerance is.
-    assert np.median(error[known]) < 100 * tolerance + 5e-4
+    assert np.median(error[known]) < 300 * tolerance + 5e-4
     assert listed.numpy()[:, 0].max() > 0
 
 
