@@ -35,7 +35,8 @@ from sdm.bench.dense.parts.dirty_cases import generated, of_files
 from sdm.bench.dense.parts.signs import unsigned
 from sdm.bench.peers.warp import StockWarp, StockWarpSah
 from sdm.engine.ops import map_slab
-from sdm.kernels.winding import column_sums, open_caps
+from sdm.kernels.winding import column_sums
+from sdm.kernels.winding.looks.places import ALONE, BITS, EXACT, LOOKED, STRIDE
 
 # Random voxels whose signs are checked.
 CHECKED = 2000
@@ -137,12 +138,12 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     if not counts:
         return {}
     total = np.sum(counts, 0)
-    levels = list(enumerate(open_caps.BITS))
-    looked = {1 << bits: int(total[open_caps.STRIDE * n + open_caps.LOOKED]) for n, bits in levels if bits}
+    levels = list(enumerate(BITS))
+    looked = {1 << bits: int(total[STRIDE * n + LOOKED]) for n, bits in levels if bits}
     # Voxels that are still open before boxes of each size; before the first ones, all.
     first = max(size for size, count in looked.items() if count)
     before = [voxels if size > first else min(voxels, count * size**3) for size, count in looked.items()]
-    before += [int(total[open_caps.STRIDE * open_caps.ALONE + open_caps.LOOKED]), int(total[open_caps.EXACT]), 0]
+    before += [int(total[STRIDE * ALONE + LOOKED]), int(total[EXACT]), 0]
     # Sizes that are not looked at decide nothing.
     for n in range(len(before) - 4, 0, -1):
         if before[n] == 0:

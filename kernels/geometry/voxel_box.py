@@ -5,7 +5,6 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
-from sdm.kernels.primitives.lanes import from_lane
 
 wp.set_module_options({"enable_backward": False})
 
@@ -64,17 +63,6 @@ def box_between(slab: Slab, start: wp.vec3i, last: wp.vec3i, scale: float):
     box.half = half * 1.000001
     box.half2 = wp.dot(box.half, box.half)
     return box
-
-
-@wp.func
-def box_of_lane(box: VoxelBox, source: int):
-    """Centre and half-widths of another lane's box. All lanes have to ask."""
-    found = VoxelBox()
-    for axis in range(3):
-        found.centre[axis] = from_lane(box.centre[axis], source)
-        found.half[axis] = from_lane(box.half[axis], source)
-    found.half2 = wp.dot(found.half, found.half)
-    return found
 
 
 @wp.func

@@ -37,7 +37,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.primitives.lanes import double_from_lane, from_lane, int_from_lane
 from sdm.kernels.winding.cap_tree import Cubic, Moments
 from sdm.kernels.winding.fourth_moment import Quartic, quartic_at
 from sdm.kernels.winding.near_caps import FULL, UNIT
@@ -191,23 +190,6 @@ def moved_field(field: Field, t: wp.vec3):
     moved.error = field.error + 96.0 * UNIT * field.drift
     moved.drift = field.drift
     return moved
-
-
-@wp.func
-def field_of_lane(field: Field, source: int):
-    """Another lane's field, without what only descents need. All lanes have to ask."""
-    found = Field()
-    found.value = double_from_lane(field.value, source)
-    for axis in range(3):
-        found.slope[axis] = from_lane(field.slope[axis], source)
-        found.squares[axis] = from_lane(field.squares[axis], source)
-        found.products[axis] = from_lane(field.products[axis], source)
-    for number in range(7):
-        found.cubes[number] = from_lane(field.cubes[number], source)
-    found.error = from_lane(field.error, source)
-    found.left_out = from_lane(field.left_out, source)
-    found.near = int_from_lane(field.near, source)
-    return found
 
 
 @wp.func

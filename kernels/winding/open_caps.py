@@ -20,25 +20,13 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.geometry.voxel_box import box_of_lane, box_of_voxels, octant_at
-from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch, threads
-from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.lanes import (
-    BLOCKS_PER_SM,
-    GPU_LANES,
-    bit_at,
-    gpu_workers,
-    int_from_lane,
-    one_on_cpu,
-    unknown,
-    wait_for_lanes,
-)
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
-from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
+from sdm.kernels.winding.cap_descent import MOST_NEAR
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.looks.look_again import look_again
 from sdm.kernels.winding.looks.mixed_descent import ROOM
@@ -47,18 +35,12 @@ from sdm.kernels.winding.looks.records import new_records
 from sdm.kernels.winding.looks.see_boxes import see_boxes
 from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
 from sdm.kernels.winding.looks.settle_boxes import settle_boxes
-from sdm.kernels.winding.near_caps import FULL, WIDER, near_list_of
-from sdm.kernels.winding.octants import is_one, octants_to_open, parts_of_lanes
+from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
-from sdm.kernels.winding.settled_boxes import settle_box
-
-wp.set_module_options({"enable_backward": False})
 
 # The first boxes are the smallest ones of which there are no more than this: a GPU has to be filled, and a launch costs
-# more than looking at a box. Those of 2^3 are listed for what follows.
+# more than looking at a box.
 MOST_FIRST = {"cuda": 8192, "cpu": 16}
-LISTED_BITS = 1
-LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
 # to look at one by one, and how many to add voxel by voxel. Boxes of 4^3 are the last of a GPU; bands go on.
 TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 1e-5, 5e-6, 1e-6), "cpu": (4e-3, 2e-3, 1e-3, 7e-5, 2e-5, 3e-6, 3e-7)}
@@ -81,159 +63,10 @@ FEWEST_ITEMS = 3, 4
 MOST_RECORDS, NEAR_OF, ROOM_FOR_NEAR = 1 << 18, 2, (1 << 20, 1 << 23)
 
 
-@wp.func
-def voxel_of_piece(piece: int, octant: int, cells: wp.vec3i):
-    """The mesh and the indices of a voxel of a box of 2^3, of which there are so many along each axis."""
-    mesh, at = unravel(piece, cells)
-    return mesh, 2 * at + octant_at(octant)
-
-
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _open_boxes(
-    begin: int,
-    caps: Caps,
-    slab: Slab,
-    bits: int,
-    tolerance: float,
-    listed: int,
-    settled: int,
-    parents: wp.vec3i,
-    cells: wp.vec3i,
-    level: int,
-    first: int,
-    fewest: int,
-    boxes: wp.array(dtype=wp.int32),
-    octants: wp.array(dtype=wp.int32),
-    left: wp.array(dtype=wp.int32),
-    left_octants: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    stacks: wp.array(dtype=wp.int32),
-    lanes: int,
-    values: wp.array4d(dtype=wp.float32),
-):
-    """Open octants, of 2^bits voxels along each edge, of boxes; those that are left in doubt are listed, with theirs.
-
-    One group of lanes descends for a box, and then its parts for its octants from what that has found; unless boxes are
-    so few that there would be fewer than `fewest` items of work: then a box is some of them.
-    """
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    stack = large_stack_of(stacks, thread / lanes)
-    total = values.shape[0] * parents[0] * parents[1] * parents[2]
-    if first == 0:
-        total = counts[STRIDE * level + LENGTH]
-    pieces = int(1)
-    while pieces < 8 and total * pieces < fewest:
-        pieces = 2 * pieces
-    share = 8 / pieces
-    item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
-    while item < total * pieces:
-        number = item / pieces
-        some = ((1 << share) - 1) << (share * (item % pieces))
-        if first == 0:
-            some = some & octants[number]
-            number = boxes[number]
-        mesh, at = unravel(number, parents)
-        some = octants_to_open(slab, values, mesh, at, bits, some)
-        scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
-        whole = Field()
-        whole.error = float(wp.inf)
-        middle = wp.vec3()
-        reach = float(0.0)
-        # First the box, then its octants: as many beside each other as what is near leaves room for.
-        keep = not is_one(some)
-        while some != 0:
-            parts = int(1)
-            if not keep and whole.error < wp.inf:
-                parts = parts_of_lanes(some, whole.near, lanes)
-            parts = one_on_cpu(parts)
-            part = one_on_cpu(lanes / parts)
-            octant = bit_at(some, lane / part)
-            idle = octant > 7
-            child = 2 * at
-            size = 2 << bits
-            if not keep:
-                child = child + octant_at(octant)
-                size = 1 << bits
-            start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
-            box = box_of_voxels(slab_of(slab, mesh), start, size, scale)
-            radius = wp.sqrt(box.half2)
-            field = Field()
-            handed = int(-1)
-            if keep:
-                middle = box.centre
-                radius = radius * WIDER
-                reach = radius
-            else:
-                way = box.centre - middle
-                if whole.error < wp.inf and wp.length(way) + radius <= reach:
-                    field = moved_field(whole, way)
-                    handed = whole.near
-            field = see_caps(
-                caps,
-                mesh,
-                box.centre,
-                radius,
-                tolerance,
-                listed,
-                field,
-                handed,
-                keep,
-                True,
-                0,
-                stack,
-                lane,
-                lanes,
-                part,
-                idle,
-            )
-            if keep:
-                whole = field
-                keep = bool(False)
-            else:
-                # Large boxes have voxels for all lanes, one box after the other.
-                for turn in range(unknown(parts)):
-                    first_lane = turn * part
-                    seen = field_of_lane(field, first_lane)
-                    number_of_octant = int_from_lane(octant, first_lane)
-                    child = 2 * at + octant_at(number_of_octant)
-                    start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
-                    seen_box = box_of_lane(box, first_lane)
-                    undone = settle_box(
-                        seen,
-                        caps,
-                        stack,
-                        slab,
-                        mesh,
-                        start,
-                        bits,
-                        False,
-                        settled,
-                        seen_box,
-                        scale,
-                        near_list_of(first_lane, part),
-                        lane,
-                        lanes,
-                        number_of_octant > 7,
-                        values,
-                    )
-                    if lane == 0 and number_of_octant < 8:
-                        fetch_add(counts, STRIDE * level + LOOKED, 1)
-                        if undone != 0:
-                            place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
-                            left[place] = ((mesh * cells[0] + child[0]) * cells[1] + child[1]) * cells[2] + child[2]
-                            left_octants[place] = undone
-                for _part in range(unknown(parts)):
-                    some = some & (some - 1)
-                # All have read the lists before others take their place.
-                wait_for_lanes()
-        item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
-
-
 def first_level(meshes: int, shape: list[int], most: int) -> int:
     """The level that a batch of maps of this shape begins with: of `most` boxes at most, and at the latest of 4^3."""
     level = 0
-    while BITS[level] > LISTED_BITS + 1:
+    while level < LAST:
         if meshes * math.prod(-(-n >> BITS[level + 1]) for n in shape) > most:
             break
         level += 1

@@ -14,14 +14,10 @@ from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, voxel
 from sdm.kernels.primitives.lanes import (
     ballot,
-    bit_at,
-    bits_of_lanes,
     bits_of_some,
     on_cpu,
     one_on_cpu,
     sum_of_some,
-    unknown,
-    wait_for_lanes,
 )
 from sdm.kernels.winding.cap_field import ONE_OVER_FULL, Field, doubt, largest_share, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
@@ -180,85 +176,3 @@ def is_left(slab: Slab, values: Any, mesh: int, v: wp.vec3i):
     if not is_within(slab, v):
         return False
     return is_whole(winding_at(values, mesh, v))
-
-
-@wp.func
-def settle_octants(
-    field: Field,
-    caps: Caps,
-    stack: wp.array(dtype=wp.int32),
-    slab: Slab,
-    mesh: int,
-    start: wp.vec3i,
-    bits: int,
-    some: int,
-    most_near: int,
-    box: VoxelBox,
-    scale: float,
-    listed_at: int,
-    lane: int,
-    lanes: int,
-    values: wp.array4d(dtype=wp.float32),
-):
-    """Open the voxels in some octants, of 2^bits along each edge, that the field leaves in no doubt.
-
-    `some` has a bit for each octant, and so has what is returned: for those that hold others. As `settle_box`, but each
-    voxel is seen by as many lanes as there are for each that is left of eight.
-    """
-    if largest_share(field, most_change(field, box.half)) < LARGEST_SHARE:
-        return 0
-    if field.near > most_near or doubt(field) > MOST_DOUBT:
-        return some
-    left = int(0)
-    inner = 1 << (3 * (bits - 1))
-    for number in range(8 * inner):
-        octant = number / inner
-        corner = start + 2 * place_in_box(number - octant * inner, bits - 1)
-        at = place_in_box(octant, 1)
-        corner = corner + wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
-        todo = int(0)
-        for k in range(unknown(8)):
-            # Each lane has a look at one of them; a CPU's only one at all.
-            if (
-                k % lanes == lane
-                and (some >> octant) & 1 != 0
-                and is_left(slab, values, mesh, corner + place_in_box(k, 1))
-            ):
-                todo = todo | (1 << k)
-        todo = bits_of_lanes(todo)
-        wait_for_lanes()
-        while todo != 0:
-            parts = int(1)
-            while parts < lanes and bit_at(todo, parts) < 8:
-                parts = 2 * parts
-            parts = one_on_cpu(parts)
-            part = one_on_cpu(lanes / parts)
-            k = bit_at(todo, lane / part)
-            idle = k > 7
-            v = corner + place_in_box(wp.min(k, 7), 1)
-            whole = float(0.0)
-            share = float(0.0)
-            angle = float(0.0)
-            wrong = float(0.0)
-            p = wp.vec3()
-            if not idle:
-                whole = values[mesh, v[0], v[1], v[2]]
-                p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
-                share = share_at(field, p - box.centre)
-            if field.near > 0:
-                angle, wrong = near_angle(
-                    caps, field.near, not idle, p, stack, listed_at, lane & (part - 1), part, lanes
-                )
-            angle = sum_of_some(angle, part)
-            wrong = sum_of_some(wrong, part) + 2.0 * UNIT * FULL
-            winding = whole - angle * ONE_OVER_FULL - share
-            sure = idle or is_sure(winding, whole, doubt(field) + wrong * ONE_OVER_FULL)
-            # All have read the whole number before it goes.
-            wait_for_lanes()
-            if not sure:
-                left = left | (1 << octant)
-            elif not idle and (lane & (part - 1)) == 0:
-                values[mesh, v[0], v[1], v[2]] = opened(winding)
-            for _part in range(unknown(parts)):
-                todo = todo & (todo - 1)
-    return bits_of_lanes(left)

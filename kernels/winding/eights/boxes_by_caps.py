@@ -23,6 +23,7 @@ from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_chan
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen, place_in_box
 from sdm.kernels.winding.eights.exact_sum import exact_share
+from sdm.kernels.winding.eights.large_boxes import open_large_boxes
 from sdm.kernels.winding.eights.near_nodes import (
     CUBES,
     DRIFT,
@@ -39,31 +40,19 @@ from sdm.kernels.winding.eights.near_nodes import (
 from sdm.kernels.winding.eights.node_angles import angles_of_nodes
 from sdm.kernels.winding.eights.node_table import HAND_DOWN, HANDED, MIXED, ROW, STACK, TO_VOXELS, pack_nodes
 from sdm.kernels.winding.eights.node_table import LISTED as LISTED_AT
+from sdm.kernels.winding.looks.places import BITS, COUNTS, EXACT, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.looks.places import LENGTH as OF_LISTED
 from sdm.kernels.winding.near_caps import FULL, WIDER
 from sdm.kernels.winding.octants import count_bits, is_one, octants_to_open
-from sdm.kernels.winding.open_caps import (
-    BITS,
-    COUNTS,
-    EXACT,
-    LISTED,
-    LISTED_LEVEL,
-    LOOKED,
-    MOST_FIRST,
-    NEXT,
-    SETTLED,
-    STRIDE,
-    TOLERANCES,
-    _open_boxes,
-    first_level,
-    voxel_of_piece,
-)
-from sdm.kernels.winding.open_caps import LENGTH as OF_LISTED
+from sdm.kernels.winding.open_caps import LISTED, MOST_FIRST, SETTLED, TOLERANCES, first_level
 from sdm.kernels.winding.rims.exact_voxels import place_of_voxel, without_caps
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
 
 _HAND_DOWN, _HANDED, _LISTED = (wp.constant(number) for number in (HAND_DOWN, HANDED, LISTED_AT))
+# Boxes of 2^3 are listed for what follows.
+LISTED_LEVEL = BITS.index(1) + 1
 
 
 @wp.func
@@ -80,6 +69,13 @@ def with_seen(field: Field, seen: Seen):
     field.drift = field.drift + seen[DRIFT]
     field.near = int(seen[LENGTH])
     return field
+
+
+@wp.func
+def voxel_of_piece(piece: int, octant: int, cells: wp.vec3i):
+    """The mesh and the indices of a voxel of a box of 2^3, of which there are so many along each axis."""
+    mesh, at = unravel(piece, cells)
+    return mesh, 2 * at + octant_at(octant)
 
 
 @wp.kernel
@@ -335,9 +331,9 @@ def open_caps_by_eights(
             left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
         if bits > LARGEST:
             limits = [TOLERANCES["cpu"][level] * FULL, LISTED["cpu"][level], SETTLED["cpu"][level]]
-            inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), 0]
-            inputs += [boxes, octants, left, left_octants, counts, large, 1, values]
-            launch(_open_boxes, workers, inputs, device, smallest=1)
+            inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first)]
+            inputs += [boxes, octants, left, left_octants, counts, large, values]
+            launch(open_large_boxes, workers, inputs, device, smallest=1)
             continue
         listed = [left, left_octants] if bits == 0 else [boxes, octants]
         back = level - LAST - 1
