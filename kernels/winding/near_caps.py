@@ -95,13 +95,17 @@ TOOLS = """
     auto root = [](float x) { float y; asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x)); return y; };
     auto inverse_of = [](float x) { float y; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x)); return y; };
     auto less_of = [](float x, float y) { return fminf(x, y); };
+    auto bits_of = [](float x) { return __float_as_int(x); };
 #else
     auto root = [](float x) { return sqrtf(x); };
     auto inverse_of = [](float x) { return 1.0f / x; };
     auto less_of = [](float x, float y) { return x < y ? x : y; };
+    auto bits_of = [](float x) { int bits; __builtin_memcpy(&bits, &x, 4); return bits; };
 #endif
 """
-# The cap whose first corner is at `place`: its corners, the product n of two edges, and what v may be off by for these.
+# The cap whose first corner is at `place`: its corners, the product n of two edges, and what v may be off by for these:
+# so much for the length of the way to the first corner, of which none of the others differs by more than the edges do,
+# and so much anyway.
 CAP = f"""
 #if defined(__CUDA_ARCH__)
         const float4* row = reinterpret_cast<const float4*>(corners.data) + 3 * (place >> 2);
@@ -116,7 +120,8 @@ CAP = f"""
         const float dx = x1 - x0, dy = y1 - y0, dz = z1 - z0, ex = x2 - x0, ey = y2 - y0, ez = z2 - z0;
         const float nx = dy * ez - dz * ey, ny = dz * ex - dx * ez, nz = dx * ey - dy * ex;
         const float first = fabsf(dx) + fabsf(dy) + fabsf(dz), second = fabsf(ex) + fabsf(ey) + fabsf(ez);
-        const float rounded = {ACROSS}f * first * second, snapped = {SNAP_ACROSS}f * (first + second);
+        const float both = {SNAP_ACROSS}f * (first + second);
+        const float rounded = {ACROSS}f * first * second + both, snapped = both * (first + second);
 """
 # That cap, seen from (px, py, pz): f, v and the least of the lengths, what f and v may be off by, times that, and
 # whether that is little.
@@ -130,9 +135,9 @@ SEEN = f"""
         const float size = la * lb * lc, v = ax * nx + ay * ny + az * nz;
         const float f = size + (ax * bx + ay * by + az * bz) * lc + (bx * cx + by * cy + bz * cz) * la
             + (cx * ax + cy * ay + cz * az) * lb;
-        const float least = less_of(la, less_of(lb, lc)), longest = -less_of(-la, less_of(-lb, -lc));
+        const float least = less_of(la, less_of(lb, lc));
         const float scale = -less_of(-fabsf(v), -fabsf(f)) * least;
-        const float across = (rounded * la + snapped * longest) * least;
+        const float across = (rounded * la + snapped) * least;
         const float along = ({ALONG}f * least + {SNAP_ALONG}f) * size, room = along + across;
         const bool known = (scale > 10.0f * room) & ((f > 0.0f) | (fabsf(v) * least > room));
         const float inverse = inverse_of(scale), part = inverse * least;
@@ -140,11 +145,13 @@ SEEN = f"""
 # A factor of the product of all.
 FACTOR = f"""
         const float x = known ? f * part : 1.0f, y = known ? v * part : 0.0f, turned = fabsf(y);
-        const float off = {2.0 * SECOND}f * inverse * (turned * along + across);
-        error = known ? error + off + ({2.0 * TURNED_MORE}f * turned + {2.0 * TURNED}f) : INFINITY;
+        const float round = {2.0 * TURNED_MORE}f * turned + {2.0 * TURNED}f;
+        const float off = {2.0 * SECOND}f * inverse * (turned * along + across) + round;
+        error = known ? error + off : INFINITY;
         const float new_re = re * x - im * y, new_im = re * y + im * x;
-        turns += ((im >= 0.0f) & (y > 0.0f) & (new_im < 0.0f)) ? 1 : 0;
-        turns -= ((im < 0.0f) & (y < 0.0f) & (new_im >= 0.0f)) ? 1 : 0;
+        // Past the negative real axis the imaginary part changes its sign from that of the factor's.
+        const int before = bits_of(im), after = bits_of(new_im);
+        turns += ((before >> 31) | 1) & ((~(before ^ bits_of(y)) & (before ^ after)) >> 31);
         re = new_re;
         im = new_im;
 """
