@@ -29,7 +29,7 @@ from sdm.kernels.primitives.lanes import (
 from sdm.kernels.primitives.shared_stacks import FIELD_PLACES, LARGE_STACK, LARGE_STACK_ON_CPU
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
-from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
+from sdm.kernels.winding.cap_taylor import add_cap, bound_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_fourth, load_rest
 from sdm.kernels.winding.near_caps import (
     NEAR_EACH,
@@ -282,17 +282,14 @@ def see_caps(
                 cap = place_of_cap(caps, mesh, node - leaves)
                 a, b, c = corners_from(caps, cap, centre)
                 angle, wrong = near_cap(a, b, c)
-                t = Taylor()
+                bound = float(0.0)
                 if radius > 0.0:
-                    t = taylor_of_cap(a, b, c, radius * WIDER, angle, wrong)
-                if t.bound <= tolerance:
+                    bound = bound_of_cap(a, b, c, radius * WIDER, angle, wrong)
+                if bound <= tolerance:
+                    if radius > 0.0:
+                        field = add_cap(field, a, b, c, radius * WIDER)
                     field.value = field.value + wp.float64(angle)
-                    field.slope = field.slope + t.slope
-                    field.squares = field.squares + t.squares
-                    field.products = field.products + t.products
-                    field.cubes = field.cubes + t.cubes
-                    field.error = field.error + wrong + WIDER * t.bound + t.rounding
-                    field.drift = field.drift + t.drift
+                    field.error = field.error + wrong + WIDER * bound
                     steps = steps + 1.0
                 else:
                     if not keep:

@@ -38,7 +38,7 @@ import warp as wp
 
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient, about_root
 from sdm.kernels.primitives.lanes import unknown
-from sdm.kernels.winding.cap_field import Cubes, cubes_of
+from sdm.kernels.winding.cap_field import Field, cubes_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,20 +46,6 @@ UNIT = 2.0**-24
 # The nearest edge, in radii of the box, and the largest K: beyond that float32 tells too little.
 NEAREST_EDGE = 2.0
 LARGEST_RATIO = 1.0e4
-
-
-@wp.struct
-class Taylor:
-    """Slope, bend and cubic of a solid angle, as in `cap_field.Field`, as far as edges are added."""
-
-    slope: wp.vec3
-    squares: wp.vec3
-    products: wp.vec3
-    cubes: Cubes
-    bound: float  # of what the polynomial leaves out
-    rounding: float  # the largest error by rounding, and by places on the lattice
-    drift: float  # what the rounding of sums is in proportion to
-    nearest: float  # the least distance of an edge
 
 
 @wp.func
@@ -75,12 +61,12 @@ def bend_of(ia: float, ib: float, both: float, ik: float):
 
 
 @wp.func
-def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, radius: float):
-    """Add an edge from a to b, seen from the box's centre."""
-    ia = about_inverse_root(wp.dot(a, a))
-    ib = about_inverse_root(wp.dot(b, b))
-    la = ia * wp.dot(a, a)
-    lb = ib * wp.dot(b, b)
+def bound_of_edge(a: wp.vec3, b: wp.vec3, radius: float):
+    """What the polynomial of an edge from a to b leaves out, with places on the lattice, infinite if nothing is known;
+    and the edge's least distance.
+    """
+    la = about_root(wp.dot(a, a))
+    lb = about_root(wp.dot(b, b))
     along = b - a
     length2 = wp.dot(along, along)
     part = float(0.0)
@@ -89,63 +75,88 @@ def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, radius: float):
     way = a + part * along
     # Less than it is, by more than the rounding.
     d = 0.999 * about_root(wp.dot(way, way)) - 1.0e-6 * (la + lb)
-    t.nearest = wp.min(t.nearest, d)
     size = la * lb
-    k = size + wp.dot(a, b)
-    if d > NEAREST_EDGE * radius and k * LARGEST_RATIO > size:
-        ik = about_quotient(1.0, k)
+    bound = float(wp.inf)
+    if d > NEAREST_EDGE * radius and (size + wp.dot(a, b)) * LARGEST_RATIO > size:
         reach = wp.min(about_quotient(about_root(length2), d), 0.5 * wp.PI)
         rho = about_quotient(radius, d)
-        t.bound = t.bound + reach * about_quotient(rho * rho * rho * rho, 1.0 - rho)
-        normal = wp.cross(a, b)
-        s1 = (ia + ib) * ik
-        both = s1 * (la + lb) * ik
-        s = a * (ia * (ia * ia * ik + both)) + b * (ib * (ib * ib * ik + both))
-        t.slope = t.slope + s1 * normal
-        t.squares = t.squares + 0.5 * wp.cw_mul(normal, s)
-        other = wp.vec3(
-            normal[0] * s[1] + normal[1] * s[0],
-            normal[0] * s[2] + normal[2] * s[0],
-            normal[1] * s[2] + normal[2] * s[1],
-        )
-        t.products = t.products + 0.5 * other
-        p, q, r, level = bend_of(ia, ib, la + lb, ik)
-        fa = ia * a
-        fb = ib * b
-        ga = p * fa + q * fb
-        gb = q * fa + r * fb
-        squares = wp.cw_mul(ga, fa) + wp.cw_mul(gb, fb)
-        sixth = normal / 6.0
-        xy = 2.0 * (ga[0] * fa[1] + gb[0] * fb[1])
-        xz = 2.0 * (ga[0] * fa[2] + gb[0] * fb[2])
-        yz = 2.0 * (ga[1] * fa[2] + gb[1] * fb[2])
-        t.cubes = t.cubes + cubes_of(sixth, level * sixth, squares, xy, xz, yz)
-        flat = about_root(wp.dot(normal, normal))
-        linear = s1 * radius
-        square = about_root(wp.dot(s, s)) * radius * radius
-        cubic = radius * radius * radius * (p + 2.0 * q + r - 3.0 * level) / 3.0
-        t.drift = t.drift + (linear + square + cubic) * flat
-        wrong = (linear + square + cubic) * (20.0 * size + flat * (20.0 * size * ik + 40.0))
-        t.rounding = t.rounding + UNIT * (wrong + 2.0 * about_quotient(reach, d))
-    else:
-        t.bound = float(wp.inf)
-    return t
+        bound = reach * about_quotient(rho * rho * rho * rho, 1.0 - rho) + 2.0 * UNIT * about_quotient(reach, d)
+    return bound, d
 
 
 @wp.func
-def taylor_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: float, wrong: float):
-    """The polynomial of a cap with corners at a, b and c from the box's centre, where it is seen as that angle."""
-    t = Taylor()
-    t.nearest = float(wp.inf)
+def bound_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: float, wrong: float):
+    """What the polynomial of a cap leaves out, with corners at a, b and c from the box's centre, where it is seen as
+    that angle; infinite if nothing is known.
+    """
+    bound = float(0.0)
+    nearest = float(wp.inf)
     p = a
     q = b
     r = c
     for _edge in range(unknown(3)):
-        t = add_edge(t, p, q, radius)
+        left_out, d = bound_of_edge(p, q, radius)
+        bound = bound + left_out
+        nearest = wp.min(nearest, d)
         first = p
         p = q
         q = r
         r = first
-    if not wp.abs(angle) + wrong < 2.0 * wp.PI * (1.0 - about_quotient(radius, t.nearest)):
-        t.bound = float(wp.inf)
-    return t
+    if not wp.abs(angle) + wrong < 2.0 * wp.PI * (1.0 - about_quotient(radius, nearest)):
+        bound = float(wp.inf)
+    return bound
+
+
+@wp.func
+def add_edge(field: Field, a: wp.vec3, b: wp.vec3, radius: float):
+    """Add to a field the polynomial of an edge from a to b, seen from the box's centre, without what it leaves out."""
+    ia = about_inverse_root(wp.dot(a, a))
+    ib = about_inverse_root(wp.dot(b, b))
+    la = ia * wp.dot(a, a)
+    lb = ib * wp.dot(b, b)
+    size = la * lb
+    ik = about_quotient(1.0, size + wp.dot(a, b))
+    normal = wp.cross(a, b)
+    s1 = (ia + ib) * ik
+    both = s1 * (la + lb) * ik
+    s = a * (ia * (ia * ia * ik + both)) + b * (ib * (ib * ib * ik + both))
+    field.slope = field.slope + s1 * normal
+    field.squares = field.squares + 0.5 * wp.cw_mul(normal, s)
+    other = wp.vec3(
+        normal[0] * s[1] + normal[1] * s[0],
+        normal[0] * s[2] + normal[2] * s[0],
+        normal[1] * s[2] + normal[2] * s[1],
+    )
+    field.products = field.products + 0.5 * other
+    p, q, r, level = bend_of(ia, ib, la + lb, ik)
+    flat = about_root(wp.dot(normal, normal))
+    square = about_root(wp.dot(s, s)) * radius * radius
+    change = s1 * radius + square + radius * radius * radius * (p + 2.0 * q + r - 3.0 * level) / 3.0
+    field.drift = field.drift + change * flat
+    field.error = field.error + UNIT * change * (20.0 * size + flat * (20.0 * size * ik + 40.0))
+    fa = ia * a
+    fb = ib * b
+    ga = p * fa + q * fb
+    gb = q * fa + r * fb
+    squares = wp.cw_mul(ga, fa) + wp.cw_mul(gb, fb)
+    sixth = normal / 6.0
+    xy = 2.0 * (ga[0] * fa[1] + gb[0] * fb[1])
+    xz = 2.0 * (ga[0] * fa[2] + gb[0] * fb[2])
+    yz = 2.0 * (ga[1] * fa[2] + gb[1] * fb[2])
+    field.cubes = field.cubes + cubes_of(sixth, level * sixth, squares, xy, xz, yz)
+    return field
+
+
+@wp.func
+def add_cap(field: Field, a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float):
+    """Add to a field the slope and all that follows of a cap with corners at a, b and c from the box's centre."""
+    p = a
+    q = b
+    r = c
+    for _edge in range(unknown(3)):
+        field = add_edge(field, p, q, radius)
+        first = p
+        p = q
+        q = r
+        r = first
+    return field

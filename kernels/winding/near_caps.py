@@ -145,8 +145,8 @@ SEEN = f"""
 # A factor of the product of all.
 FACTOR = f"""
         const float x = known ? f * part : 1.0f, y = known ? v * part : 0.0f, turned = fabsf(y);
-        const float round = {2.0 * TURNED_MORE}f * turned + {2.0 * TURNED}f;
-        const float off = {2.0 * SECOND}f * inverse * (turned * along + across) + round;
+        const float rounding = {2.0 * TURNED_MORE}f * turned + {2.0 * TURNED}f;
+        const float off = {2.0 * SECOND}f * inverse * (turned * along + across) + rounding;
         error = known ? error + off : INFINITY;
         const float new_re = re * x - im * y, new_im = re * y + im * x;
         // Past the negative real axis the imaginary part changes its sign from that of the factor's.
