@@ -36,7 +36,7 @@ from sdm.bench.dense.parts.signs import unsigned
 from sdm.bench.peers.warp import StockWarp, StockWarpSah
 from sdm.engine.ops import map_slab
 from sdm.kernels.winding import column_sums
-from sdm.kernels.winding.looks.places import ALONE, BITS, EXACT, LOOKED, STRIDE
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, EXACT, LOOKED, STRIDE
 
 # Random voxels whose signs are checked.
 CHECKED = 2000

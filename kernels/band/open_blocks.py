@@ -24,7 +24,7 @@ from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.looks.places import BITS
+from sdm.kernels.winding.looks.count_places import BITS
 from sdm.kernels.winding.near_caps import FULL, NEAR_LIST
 from sdm.kernels.winding.open_caps import FEW, LISTED, SETTLED, TOLERANCES
 from sdm.kernels.winding.rims.exact_voxels import open_voxel

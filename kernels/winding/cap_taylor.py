@@ -62,8 +62,8 @@ def bend_of(ia: float, ib: float, both: float, ik: float):
 
 @wp.func
 def bound_of_edge(a: wp.vec3, b: wp.vec3, radius: float):
-    """What the polynomial of an edge from a to b leaves out, with places on the lattice, infinite if nothing is known;
-    and the edge's least distance.
+    """Bound of what the polynomial of an edge from a to b leaves out, with places on the lattice, infinite if nothing
+    is known; and the edge's least distance.
     """
     la = about_root(wp.dot(a, a))
     lb = about_root(wp.dot(b, b))
@@ -86,8 +86,8 @@ def bound_of_edge(a: wp.vec3, b: wp.vec3, radius: float):
 
 @wp.func
 def bound_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: float, wrong: float):
-    """What the polynomial of a cap leaves out, with corners at a, b and c from the box's centre, where it is seen as
-    that angle; infinite if nothing is known.
+    """Bound of what the polynomial of a cap leaves out, with corners at a, b and c from the box's centre, where it is
+    seen as that angle; infinite if nothing is known.
     """
     bound = float(0.0)
     nearest = float(wp.inf)

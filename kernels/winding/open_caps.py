@@ -28,10 +28,11 @@ from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import MOST_NEAR
 from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
 from sdm.kernels.winding.looks.look_again import look_again
 from sdm.kernels.winding.looks.mixed_descent import ROOM
-from sdm.kernels.winding.looks.places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
 from sdm.kernels.winding.looks.records import new_records
+from sdm.kernels.winding.looks.see_boxes import BLOCKS as SEERS
 from sdm.kernels.winding.looks.see_boxes import see_boxes
 from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
 from sdm.kernels.winding.looks.settle_boxes import settle_boxes
@@ -86,6 +87,7 @@ def open_caps(
     lanes, workers, kind = 1, 16 * threads(), "cpu"
     if device.is_cuda:
         lanes, workers, kind = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM), "cuda"
+    seers, settlers = (gpu_workers(device, each) if device.is_cuda else workers for each in (SEERS, SETTLERS))
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
@@ -93,7 +95,7 @@ def open_caps(
     def lists() -> tuple[wp.array, wp.array]:
         return empty(meshes * math.prod(cells), wp.int32), empty(meshes * math.prod(cells), wp.int32)
 
-    fewest = FEWEST_ITEMS[0] * workers // FEWEST_ITEMS[1] if device.is_cuda else 0
+    fewest = FEWEST_ITEMS[0] * seers // FEWEST_ITEMS[1] if device.is_cuda else 0
     fits = (size for size, edges, voxels in SUMMED if boundary.count <= edges and values.size <= voxels)
     smallest, first = next(fits, 0), first_level(meshes, shape, MOST_FIRST[kind])
     cells, level = (1, 1, 1), first
@@ -108,8 +110,7 @@ def open_caps(
         limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
         inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), fewest]
         inputs += [*boxes, *left, records, counts, stacks, lanes, values]
-        launch(see_boxes, workers * lanes, inputs, device, smallest=1)
-        settlers = gpu_workers(device, SETTLERS) if device.is_cuda else workers
+        launch(see_boxes, seers * lanes, inputs, device, smallest=1)
         inputs = [caps, slab, bits, cells, level, records, *left, counts, lanes, values]
         launch(settle_boxes, settlers * lanes, inputs, device, smallest=1)
         level += 1

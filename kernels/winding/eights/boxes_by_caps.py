@@ -40,8 +40,8 @@ from sdm.kernels.winding.eights.near_nodes import (
 from sdm.kernels.winding.eights.node_angles import angles_of_nodes
 from sdm.kernels.winding.eights.node_table import HAND_DOWN, HANDED, MIXED, ROW, STACK, TO_VOXELS, pack_nodes
 from sdm.kernels.winding.eights.node_table import LISTED as LISTED_AT
-from sdm.kernels.winding.looks.places import BITS, COUNTS, EXACT, LOOKED, NEXT, STRIDE
-from sdm.kernels.winding.looks.places import LENGTH as OF_LISTED
+from sdm.kernels.winding.looks.count_places import BITS, COUNTS, EXACT, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.looks.count_places import LENGTH as OF_LISTED
 from sdm.kernels.winding.near_caps import FULL, WIDER
 from sdm.kernels.winding.octants import count_bits, is_one, octants_to_open
 from sdm.kernels.winding.open_caps import LISTED, MOST_FIRST, SETTLED, TOLERANCES, first_level

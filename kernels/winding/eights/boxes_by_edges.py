@@ -25,7 +25,7 @@ from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, VOXELS, X, Y, Z,
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
-from sdm.kernels.winding.looks.places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.rims.edge_boxes import ASIDE, BOX_BITS, ROOM, TOLERANCES, WIDER, field_of
 from sdm.kernels.winding.rims.exact_voxels import place_of_voxel

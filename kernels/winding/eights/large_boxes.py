@@ -13,7 +13,7 @@ from sdm.kernels.primitives.shared_stacks import large_stack_of
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, moved_field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.looks.places import LENGTH, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.looks.count_places import LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.near_caps import NEAR_LIST, WIDER
 from sdm.kernels.winding.octants import is_one, octants_to_open
 from sdm.kernels.winding.settled_boxes import settle_box

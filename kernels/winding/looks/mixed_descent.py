@@ -37,7 +37,7 @@ LEAST = 0.1
 
 @wp.struct
 class Looked:
-    """What a descent has found: a field, and how many nodes and caps are listed for voxels."""
+    """Outcome of a descent: a field, and how many nodes and caps are listed for voxels."""
 
     field: Field
     nodes: wp.int32

@@ -1,4 +1,4 @@
-"""First looks at boxes of voxels on a GPU, from large ones to small: what of an open mesh's caps each of them sees.
+"""First looks at boxes of voxels on a GPU, from large ones to small, by descents of the tree of an open mesh's caps.
 
 A box whose whole numbers will do is left as it is; one of which too little is known is left to smaller ones; of the
 others field and near caps are recorded, by which `settle_boxes` opens their voxels. These are two kernels, as voxels
@@ -13,12 +13,12 @@ from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE
 from sdm.kernels.geometry.voxel_box import box_of_voxels, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, bit_at, on_cpu, one_on_cpu, unknown, wait_for_lanes
+from sdm.kernels.primitives.lanes import bit_at, on_cpu, one_on_cpu, unknown, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import FIELD_PLACES, LARGE_STACK, LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.looks.places import (
+from sdm.kernels.winding.looks.count_places import (
     LENGTH,
     LOOKED,
     NEXT,
@@ -33,11 +33,14 @@ from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT
 
 wp.set_module_options({"enable_backward": False})
 
+# Thread blocks, of 128 threads, that a multiprocessor holds at a time: with four, a fifth of the time goes to registers
+# in memory.
+BLOCKS = 3
 # The place in a stack of the field of a whole box, behind the lists of a descent.
 _ON_GPU, _ON_CPU = LARGE_STACK - FIELD_PLACES, LARGE_STACK_ON_CPU - FIELD_PLACES
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+@wp.kernel(launch_bounds=(128, BLOCKS))
 def see_boxes(
     begin: int,
     caps: Caps,

@@ -12,8 +12,8 @@ from sdm.kernels.primitives.lanes import ballot, bits_of_lanes
 from sdm.kernels.winding.cap_field import ONE_OVER_FULL, doubt, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
+from sdm.kernels.winding.looks.count_places import LENGTH, NEXT_RECORD, RECORDED, STRIDE
 from sdm.kernels.winding.looks.near_pair import near_pair
-from sdm.kernels.winding.looks.places import LENGTH, NEXT_RECORD, RECORDED, STRIDE
 from sdm.kernels.winding.looks.records import ROW, Records, read_field
 from sdm.kernels.winding.settled_boxes import is_sure, is_whole, opened
 

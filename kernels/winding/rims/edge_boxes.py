@@ -32,7 +32,7 @@ from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.cap_field import Field, doubt, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.looks.places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
 from sdm.kernels.winding.near_caps import FULL, UNIT
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
 from sdm.kernels.winding.rims.radial_strips import (
