@@ -2,8 +2,9 @@
 
 For each mesh and grid: the time of every kernel of one warm map by CUPTI, through torch's profiler, whose sum beside
 the call's own time shows the gaps; and where ncu is installed and may read the counters, what limits each of the
-longest kernels: how near it is to the peak of arithmetic and of memory, how full its warps and the GPU are, what they
-wait for.
+longest kernels: the bytes that it moves and the instructions that it issues, how near both are to their peaks, how full
+its warps and the GPU are, what they wait for. From these two floors, `bytes_floor_ms` and `issue_floor_ms`: the time
+that as many bytes take at the memory's full rate, and as many instructions if each scheduler issued one each cycle.
 """
 
 from __future__ import annotations
@@ -23,10 +24,30 @@ from sdm.bench.gpu import ncu as _ncu
 from sdm.bench.gpu.sanitize import find_tool
 from sdm.errors import DeviceError, SDMError
 
-CASES = ("rocker-arm:256", "nefertiti:256", "torus-1000000:256", "rocker-arm:128")
-LONGEST = 8
+MESHES = ("rocker-arm", "stanford-bunny", "nefertiti", "torus-1000000")
+CASES = tuple(f"{mesh}:{resolution}" for resolution in (512, 256) for mesh in MESHES)
+LONGEST = 10
+# Of the kernels of a map those that take a while: of all of them ncu would take minutes.
+WATCHED = "scan|sum_columns|witnesses|list_regions|list_cells|schedule|select|measure|search|open|merge|split"
+_PER_ISSUE = "smsp__average_warps_issue_stalled_{}_per_issue_active.ratio"
+# Warps that wait, and for what, by our names and ncu's.
+STALLS = {
+    "memory": "long_scoreboard",
+    "shared": "short_scoreboard",
+    "arithmetic": "wait",
+    "instructions": "no_instruction",
+    "branches": "branch_resolve",
+    "memory_queue": "mio_throttle",
+    "busy_units": "math_pipe_throttle",
+    "another_warp": "not_selected",
+}
 METRICS = {
     "ms": "gpu__time_duration.sum",
+    "instructions": "smsp__inst_executed.sum",
+    "dram_bytes": "dram__bytes.sum",
+    "l2_bytes": "lts__t_bytes.sum",
+    "issued_of_time_percent": "smsp__issue_active.avg.pct_of_peak_sustained_elapsed",
+    "bytes_of_time_percent": "dram__bytes.sum.pct_of_peak_sustained_elapsed",
     "arithmetic_percent": "sm__throughput.avg.pct_of_peak_sustained_elapsed",
     "dram_percent": "dram__throughput.avg.pct_of_peak_sustained_elapsed",
     "l1_percent": "l1tex__throughput.avg.pct_of_peak_sustained_active",
@@ -38,11 +59,13 @@ METRICS = {
     "l1_hit_percent": "l1tex__t_sector_hit_rate.pct",
     "l2_hit_percent": "lts__t_sector_hit_rate.pct",
     "registers": "launch__registers_per_thread",
-    "stalled_on_memory": "smsp__average_warps_issue_stalled_long_scoreboard_per_issue_active.ratio",
-    "stalled_on_shared": "smsp__average_warps_issue_stalled_short_scoreboard_per_issue_active.ratio",
-    "stalled_on_arithmetic": "smsp__average_warps_issue_stalled_wait_per_issue_active.ratio",
-    "stalled_on_instructions": "smsp__average_warps_issue_stalled_no_instruction_per_issue_active.ratio",
+    "fma_percent": "smsp__inst_executed_pipe_fma.sum.pct_of_peak_sustained_active",
+    "alu_percent": "smsp__inst_executed_pipe_alu.sum.pct_of_peak_sustained_active",
+    "lsu_percent": "smsp__inst_executed_pipe_lsu.sum.pct_of_peak_sustained_active",
+    **{f"stalled_on_{ours}": _PER_ISSUE.format(theirs) for ours, theirs in STALLS.items()},
 }
+# Of these the sum over launches counts, of the others the mean.
+COUNTS = ("instructions", "dram_bytes", "l2_bytes")
 # ncu's units of time, in milliseconds.
 UNITS = {"nsecond": 1e-6, "ns": 1e-6, "usecond": 1e-3, "us": 1e-3, "msecond": 1.0, "ms": 1.0, "second": 1e3, "s": 1e3}
 
@@ -85,6 +108,8 @@ def counters(name: str, resolution: int, timeout_s: float) -> dict[str, Any]:
     """Counters by ncu of the kernels of one warm map, longest first; `why_not` if it says nothing."""
     try:
         command = [find_tool("ncu"), "--csv", "--page", "raw", "--profile-from-start", "off", "--print-units", "base"]
+        # At the clocks at which maps are timed.
+        command += ["--clock-control", "none", "--kernel-name", f"regex:{WATCHED}"]
         command += ["--metrics", ",".join(METRICS.values())]
         done = _ncu.run(command, name, resolution, timeout_s)
     except SDMError as error:
@@ -117,7 +142,13 @@ def read_ncu(text: str) -> list[dict[str, Any]]:
             for key in METRICS
             if key != "ms"
         }
-        found.append({"kernel": kernel, "calls": len(several), "ms": total, **mean})
+        floors = {
+            "issue_floor_ms": total * mean["issued_of_time_percent"] / 100,
+            "bytes_floor_ms": total * mean["bytes_of_time_percent"] / 100,
+        }
+        for key in COUNTS:
+            mean[key] = sum(one[key] for one in several)
+        found.append({"kernel": kernel, "calls": len(several), "ms": total, **floors, **mean})
     return sorted(found, key=lambda kernel: -kernel["ms"])[:LONGEST]
 
 
@@ -137,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--cases", nargs="+", default=list(CASES), metavar="MESH:N", help="a mesh and a resolution each"
     )
     parser.add_argument("--no-ncu", action="store_true", help="times of kernels alone")
-    parser.add_argument("--timeout-s", type=float, default=60.0, help="longest time of ncu for each case")
+    parser.add_argument("--timeout-s", type=float, default=120.0, help="longest time of ncu for each case")
     parser.add_argument("--out", type=Path, help="JSON file to write")
     options = parser.parse_args(argv)
     try:
@@ -177,7 +208,7 @@ def _print(result: dict[str, Any]) -> None:
     print(markdown_table(["kernel", "calls", "ms"], rows))
     ncu = result.get("ncu", {})
     if "kernels" in ncu:
-        names = list(METRICS)
+        names = ["ms", "issue_floor_ms", "bytes_floor_ms", *(name for name in METRICS if name != "ms")]
         rows = [[k["kernel"][:40], *(f"{k[name]:.3g}" for name in names)] for k in ncu["kernels"]]
         print(markdown_table(["kernel", *names], rows))
     elif ncu:
