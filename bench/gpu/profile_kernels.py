@@ -36,7 +36,7 @@ STALLS = {
     "shared": "short_scoreboard",
     "arithmetic": "wait",
     "instructions": "no_instruction",
-    "branches": "branch_resolve",
+    "branches": "branch_resolving",
     "memory_queue": "mio_throttle",
     "busy_units": "math_pipe_throttle",
     "another_warp": "not_selected",
