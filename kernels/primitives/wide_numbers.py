@@ -26,6 +26,7 @@ NUMBERS = """
     typedef unsigned char Mask;
     typedef float T __attribute__((vector_size(4 * WIDE)));
     typedef int M __attribute__((vector_size(4 * WIDE)));
+    typedef unsigned U __attribute__((vector_size(4 * WIDE)));
     auto root = [](T x) { for (int k = 0; k < WIDE; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
     auto over = [](T x, T y) { return x / y; };
     auto where = [](M m, T x, T y) { return (T)((m & (M)x) | (~m & (M)y)); };
@@ -59,3 +60,21 @@ WIDEST_NUMBERS = NUMBERS.replace(
 #endif
 """,
 )
+
+# The arguments of complex numbers on a CPU, by the signs of both parts, and their largest error: a polynomial that is
+# right within 2.5e-7, the rest is rounding.
+OFF_ANGLE = 2.0e-6
+ANGLE_OF = """
+    auto angle_of = [&](T x, T y) {
+        const T sx = size_of(x), sy = size_of(y), part = least(sx, sy) / most_of(sx, sy), two = part * part;
+        T rest = 0.006811743f * two - 0.033604077f;
+        rest = rest * two + 0.079623521f;
+        rest = rest * two - 0.13233335f;
+        rest = rest * two + 0.19807814f;
+        rest = rest * two - 0.33317368f;
+        T angle = part * (rest * two + 0.99999611f);
+        angle = where(sy > sx, 1.57079633f - angle, angle);
+        angle = where((M)x < 0, 3.14159265f - angle, angle);
+        return (T)((M)angle | ((M)y & (int)0x80000000));
+    };
+"""

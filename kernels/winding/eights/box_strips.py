@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.primitives.wide_numbers import SIXTEEN, WIDEST_NUMBERS
+from sdm.kernels.primitives.wide_numbers import ANGLE_OF, OFF_ANGLE, SIXTEEN, WIDEST_NUMBERS
 from sdm.kernels.winding.eights.packed_edges import BEGIN, END, ROW, TIMES
 from sdm.kernels.winding.rims.float32_sum import LARGEST_PRODUCT, SECOND, SHRINK, SUMMED, UNIT
 from sdm.kernels.winding.rims.radial_strips import ANGLE, FIRST, SECOND_FACTOR, SNAP
@@ -19,96 +19,105 @@ wp.set_module_options({"enable_backward": False})
 X, Y, Z, SHARE, ERROR, VOXELS = (SIXTEEN * number for number in range(6))
 MOST = 512
 ROOM = VOXELS * MOST // SIXTEEN
+# Edges that are made ready at a time.
+READY = 64
 
 
 @wp.func_native(
     snippet=f"""
     {WIDEST_NUMBERS}
 #if !defined(__CUDA_ARCH__)
+    {ANGLE_OF}
     float* const voxels = places.data + at;
     constexpr int MOST = {MOST} / WIDE;
     const int groups = count / WIDE;
-    T re[MOST], im[MOST], turns[MOST], error[MOST], crossed[MOST];
+    T re[MOST], im[MOST], error[MOST], crossed[MOST];
+    M turns[MOST];
     // Where the numbers of a group of voxels are.
     auto group = [&](int g) {{ return voxels + {VOXELS} * (WIDE * g / {SIXTEEN}) + WIDE * g % {SIXTEEN}; }};
     auto load = [&](const float* from) {{ T x; __builtin_memcpy(&x, from, sizeof(T)); return x; }};
     for (int g = 0; g < groups; ++g) {{
         re[g] = one;
-        im[g] = turns[g] = error[g] = crossed[g] = none;
+        im[g] = error[g] = crossed[g] = none;
+        turns[g] = M{{}};
     }}
-    // Numbers of an edge: the ways to its ends, lengths, k, n, m and errors.
-    enum {{ AX, AY, AZ, BX, BY, BZ, LA, LB, K, NX, NY, NZ, MX, MY, MZ, OFF_Q, OFF_2, TWICE, COUNT }};
-    T ready[COUNT];
-    for (int i = 0; i < near; ++i) {{
-        if (i % WIDE == 0) {{
+    // Numbers of some edges: their ends, the ways to those, lengths, k, n, m and errors.
+    enum {{
+        GX, GY, GZ, HX, HY, HZ, AX, AY, AZ, LA, LB, K, NX, NY, NZ, MX, MY, MZ, OFF_Q, OFF_1, OFF_2, OFF_S, OFF_K, OFTEN,
+        COUNT
+    }};
+    T ready[COUNT][{READY} / WIDE];
+    for (int begin = 0; begin < near; begin += {READY}) {{
+        const int some = near - begin < {READY} ? near - begin : {READY};
+        for (int i = 0; WIDE * i < some; ++i) {{
             T gx = one, gy = one, gz = one, hx = one, hy = one, hz = one, times = one;
-            for (int k = 0; k < WIDE && i + k < near; ++k) {{
-                const int number = stack.data[near_at + i + k];
+            for (int k = 0; k < WIDE && WIDE * i + k < some; ++k) {{
+                const int number = stack.data[near_at + begin + WIDE * i + k];
                 const float* row = rows.data + {ROW} * (size_t)(first + number / {SIXTEEN}) + number % {SIXTEEN};
                 gx[k] = row[{BEGIN}]; gy[k] = row[{BEGIN + SIXTEEN}]; gz[k] = row[{BEGIN + 2 * SIXTEEN}];
                 hx[k] = row[{END}]; hy[k] = row[{END + SIXTEEN}]; hz[k] = row[{END + 2 * SIXTEEN}];
                 times[k] = row[{TIMES}];
             }}
-            ready[TWICE] = times;
             const T ax = gx - c.c[0], ay = gy - c.c[1], az = gz - c.c[2];
             const T bx = hx - c.c[0], by = hy - c.c[1], bz = hz - c.c[2];
             const T la = root(ax * ax + ay * ay + az * az), lb = root(bx * bx + by * by + bz * bz), size = la * lb;
-            ready[AX] = gx; ready[AY] = gy; ready[AZ] = gz;
-            ready[BX] = hx; ready[BY] = hy; ready[BZ] = hz;
-            ready[LA] = la; ready[LB] = lb;
-            ready[K] = size + ax * bx + ay * by + az * bz;
-            ready[NX] = ay * bz - az * by; ready[NY] = az * bx - ax * bz; ready[NZ] = ax * by - ay * bx;
-            ready[MX] = lb * ax + la * bx; ready[MY] = lb * ay + la * by; ready[MZ] = lb * az + la * bz;
-            ready[OFF_Q] = radius * ({ANGLE}f * size + {SNAP}f * (la + lb));
-            ready[OFF_2] = {SECOND_FACTOR}f * size + {SNAP}f * (la + lb);
+            const T off_q = radius * ({ANGLE}f * size + {SNAP}f * (la + lb));
+            const T numbers[COUNT] = {{
+                gx, gy, gz, hx, hy, hz, ax, ay, az, la, lb, size + ax * bx + ay * by + az * bz,
+                ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx,
+                lb * ax + la * bx, lb * ay + la * by, lb * az + la * bz,
+                off_q, {FIRST}f * la + {SNAP}f, {SECOND_FACTOR}f * size + {SNAP}f * (la + lb), {SNAP}f * la,
+                {SNAP}f * size + off_q, times,
+            }};
+            for (int number = 0; number < COUNT; ++number) ready[number][i] = numbers[number];
         }}
-        const int e = i % WIDE;
-        const float gx = ready[AX][e], gy = ready[AY][e], gz = ready[AZ][e];
-        const float hx = ready[BX][e], hy = ready[BY][e], hz = ready[BZ][e];
-        const float ax = gx - c.c[0], ay = gy - c.c[1], az = gz - c.c[2];
-        const float la = ready[LA][e], lb = ready[LB][e], k = ready[K][e];
-        const float nx = ready[NX][e], ny = ready[NY][e], nz = ready[NZ][e];
-        const float mx = ready[MX][e], my = ready[MY][e], mz = ready[MZ][e];
-        const float off_q = ready[OFF_Q][e], off_2 = ready[OFF_2][e];
-        const bool twice = ready[TWICE][e] > 1.0f;
-        const float off_1 = {FIRST}f * la + {SNAP}f, off_s = {SNAP}f * la, off_k = {SNAP}f * la * lb + off_q;
+        const float* const edges = reinterpret_cast<const float*>(ready);
         for (int g = 0; g < groups; ++g) {{
             const float* const at_g = group(g);
             const T px = load(at_g + {X}), py = load(at_g + {Y}), pz = load(at_g + {Z});
             const T x = px - c.c[0], y = py - c.c[1], z = pz - c.c[2];
-            const T sx = gx - px, sy = gy - py, sz = gz - pz, tx = hx - px, ty = hy - py, tz = hz - pz;
-            const T ls = root(sx * sx + sy * sy + sz * sz), lt = root(tx * tx + ty * ty + tz * tz);
-            const T q = x * nx + y * ny + z * nz, ends2 = ls * lt;
-            const T f1 = la * (ends2 + (sx * tx + sy * ty + sz * tz)) + (ax * sx + ay * sy + az * sz) * lt
-                + (ax * tx + ay * ty + az * tz) * ls;
-            const T reach = lb + lt, f2 = reach * k - (x * mx + y * my + z * mz);
-            const T e1 = off_1 * ends2 + off_s * (ls + lt) + off_q, e2 = off_2 * reach + off_k;
-            const T sq = size_of(q), m1 = most_of(size_of(f1), sq), m2 = most_of(size_of(f2), sq);
-            const T product = m1 * m2, inverse = one / product;
-            const T u = (f1 * f2 - q * q) * inverse, w = q * (f1 + f2) * inverse;
-            const T off = {SECOND}f * (e1 * m2 + e2 * m1) * inverse + {8.0 * UNIT}f;
-            const M known = (m1 > 10.0f * e1) & (m2 > 10.0f * e2) & (product > all(1.0e-30f))
-                & ((u > none) | (size_of(w) > 2.0f * off));
-            error[g] = error[g] + where(known, twice ? off + off : off, unknown);
-            const T kept = where(known, u, one), turned = where(known, w, none);
-            T x_now = re[g], y_now = im[g], turns_now = turns[g];
-            for (int time = 0; time < 1 + twice; ++time) {{
-                const T new_re = x_now * kept - y_now * turned, new_im = x_now * turned + y_now * kept;
-                const M below = y_now < none, below_now = new_im < none;
-                turns_now = turns_now + where(~below & (turned > none) & below_now, one, none);
-                turns_now = turns_now - where(below & (turned < none) & ~below_now, one, none);
-                x_now = new_re;
-                y_now = new_im;
+            T re_now = re[g], im_now = im[g], error_now = error[g];
+            M turns_now = turns[g];
+            for (int i = 0; i < some; ++i) {{
+                auto of = [&](int number) {{ return edges[{READY} * number + i]; }};
+                const T sx = of(GX) - px, sy = of(GY) - py, sz = of(GZ) - pz;
+                const T tx = of(HX) - px, ty = of(HY) - py, tz = of(HZ) - pz;
+                const T ls = root(sx * sx + sy * sy + sz * sz), lt = root(tx * tx + ty * ty + tz * tz);
+                const T q = x * of(NX) + y * of(NY) + z * of(NZ), ends2 = ls * lt;
+                const T f1 = of(LA) * (ends2 + (sx * tx + sy * ty + sz * tz))
+                    + (of(AX) * sx + of(AY) * sy + of(AZ) * sz) * lt + (of(AX) * tx + of(AY) * ty + of(AZ) * tz) * ls;
+                const T reach = of(LB) + lt, f2 = reach * of(K) - (x * of(MX) + y * of(MY) + z * of(MZ));
+                const T e1 = of(OFF_1) * ends2 + of(OFF_S) * (ls + lt) + of(OFF_Q), e2 = of(OFF_2) * reach + of(OFF_K);
+                const T sq = size_of(q), m1 = most_of(size_of(f1), sq), m2 = most_of(size_of(f2), sq);
+                const T product = m1 * m2, inverse = one / product;
+                const T u = (f1 * f2 - q * q) * inverse, w = q * (f1 + f2) * inverse;
+                // If it is less than a tenth, e1 and e2 are less than a tenth of m1 and m2.
+                const T part = (e1 * m2 + e2 * m1) * inverse, off = {SECOND}f * part + {8.0 * UNIT}f;
+                const M known = (part < all(0.1f)) & (product > all(1.0e-30f))
+                    & ((u > none) | (size_of(w) > 2.0f * off));
+                error_now = error_now + where(known, of(OFTEN) * off, unknown);
+                auto turn = [&] {{
+                    const T new_re = re_now * u - im_now * w, new_im = re_now * w + im_now * u;
+                    // By the signs of three numbers: over the negative half line one way, or the other.
+                    const M below = (M)im_now, below_now = (M)new_im, back = (M)w;
+                    turns_now += (M)((U)(~below & ~back & below_now) >> 31);
+                    turns_now -= (M)((U)(below & back & ~below_now) >> 31);
+                    re_now = new_re;
+                    im_now = new_im;
+                }};
+                turn();
+                if (of(OFTEN) > 1.0f) turn();
+                if (i % 16 == 15) {{
+                    const M large = size_of(re_now) + size_of(im_now) > all({LARGEST_PRODUCT}f);
+                    const T shrink = where(large, all({SHRINK}f), one);
+                    re_now = re_now * shrink;
+                    im_now = im_now * shrink;
+                }}
             }}
+            re[g] = re_now;
+            im[g] = im_now;
+            error[g] = error_now;
             turns[g] = turns_now;
-            if (i % 16 == 15) {{
-                const M large = size_of(x_now) + size_of(y_now) > all({LARGEST_PRODUCT}f);
-                const T shrink = where(large, all({SHRINK}f), one);
-                x_now = x_now * shrink;
-                y_now = y_now * shrink;
-            }}
-            re[g] = x_now;
-            im[g] = y_now;
         }}
     }}
     for (int i = 0; i < across; ++i) {{
@@ -142,12 +151,14 @@ ROOM = VOXELS * MOST // SIXTEEN
         }}
     }}
     for (int g = 0; g < groups; ++g) {{
-        for (int k = 0; k < WIDE; ++k) {{
-            const float angle = near ? 2.0f * atan2f(im[g][k], re[g][k]) + {4.0 * wp.PI}f * turns[g][k] : 0.0f;
-            group(g)[{SHARE} + k] = angle / {4.0 * wp.PI}f + crossed[g][k];
-            const float off = 2.0f * error[g][k] + {SUMMED}f * (1.0f + fabsf(angle));
-            group(g)[{ERROR} + k] = off / {4.0 * wp.PI}f;
-        }}
+        T angle = none;
+        if (near) angle = angle_of(re[g], im[g]);
+        angle = where(error[g] < unknown, 2.0f * angle + {4.0 * wp.PI}f * __builtin_convertvector(turns[g], T), none);
+        const T share = angle * {1.0 / (4.0 * wp.PI)}f + crossed[g];
+        const T off = 2.0f * error[g] + {SUMMED}f * (1.0f + size_of(angle)) + {2.0 * OFF_ANGLE}f;
+        const T wrong = off * {1.0 / (4.0 * wp.PI)}f;
+        __builtin_memcpy(group(g) + {SHARE}, &share, sizeof(T));
+        __builtin_memcpy(group(g) + {ERROR}, &wrong, sizeof(T));
     }}
 #endif
 """

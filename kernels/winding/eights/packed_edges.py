@@ -95,11 +95,11 @@ def pack_edges(
         before_a = a
         before_b = b
     packed[mesh] = length
-    # No row is written in part.
+    # No row is written in part: edges without a length, far from all voxels.
     while length % SIXTEEN != 0:
         at = place_of_edge(mesh * blocks * SIXTEEN + length)
         for k in range(ROW / SIXTEEN):
-            rows[at + SIXTEEN * k] = 1.0
+            rows[at + SIXTEEN * k] = 1000.0
         length = length + 1
 
 
@@ -137,12 +137,13 @@ _TURN = f"""
             const T inverse = one / most, part = sy * inverse;
             const T off = {SECOND}f * inverse * (part * dx + dy) + ({TURNED_MORE}f * part + {TURNED}f);
             error = error + where(there, where(known, times * off, unknown), none);
-            const T u = where(known & there & (x < sy), x * inverse, one), v = where(known & there, y * inverse, none);
+            const T u = x * inverse, v = y * inverse;
             auto turn = [&](T u, T v) {{
                 const T new_re = re * u - im * v, new_im = re * v + im * u;
-                const M below = im < none, below_now = new_im < none;
-                turns = turns + where(~below & (v > none) & below_now, one, none);
-                turns = turns - where(below & (v < none) & ~below_now, one, none);
+                // By the signs of three numbers: over the negative half line one way, or the other.
+                const M below = (M)im, below_now = (M)new_im, back = (M)v;
+                crossings += (M)((U)(~below & ~back & below_now) >> 31);
+                crossings -= (M)((U)(below & back & ~below_now) >> 31);
                 re = new_re;
                 im = new_im;
             }};
@@ -158,7 +159,15 @@ _TURN = f"""
 _BEGIN = """
     M numbers;
     for (int k = 0; k < WIDE; ++k) numbers[k] = k;
-    T re = one, im = none, turns = none, error = none;
+    T re = one, im = none, error = none;
+    M crossings = {};
+"""
+# What is not known may be no number.
+_END = """
+    const M sure = error < unknown;
+    const T turns = where(sure, __builtin_convertvector(crossings, T), none);
+    re = where(sure, re, one);
+    im = where(sure, im, none);
 """
 
 
@@ -230,6 +239,7 @@ _BEGIN = """
                 if (across < room_across) stack.data[across_at + across] = WIDE * i + __builtin_ctz(left);
         }}
     }}
+    {_END}
     {LOOK_OF_SUMS}
 #endif
     return found;
@@ -264,6 +274,7 @@ def look_at_eights(
         {_EDGES}
         {_TURN}
     }}
+    {_END}
     {SHARES}
     return wp::vec2(share, off);
 #else
