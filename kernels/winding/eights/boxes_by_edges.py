@@ -13,20 +13,20 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.geometry.voxel_box import box_of_voxels
-from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.primitives.wide_numbers import SIXTEEN
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_field import doubt, most_change, share_at
+from sdm.kernels.winding.cap_field import ONE_OVER_FULL, doubt, most_change
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, VOXELS, X, Y, Z, strips_of_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
+from sdm.kernels.winding.eights.box_strips import strips_of_box
+from sdm.kernels.winding.eights.box_voxels import settle_voxels, write_voxels
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
-from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.rims.edge_boxes import ASIDE, BOX_BITS, ROOM, TOLERANCES, WIDER, field_of
 from sdm.kernels.winding.rims.exact_voxels import place_of_voxel
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
@@ -59,7 +59,7 @@ def _open_boxes_by_eights(
     places: wp.array(dtype=wp.float32),
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open boxes of 2^bits voxels along each edge, `cells` along each axis; list those that leave some in doubt.
+    """Open boxes of 4^3 voxels (`bits` is 2), `cells` along each axis; list those that leave some in doubt.
 
     `next_item`, `looked` and `length` are places of the counts.
     """
@@ -87,38 +87,17 @@ def _open_boxes_by_eights(
         undone = int(0)
         change = most_change(field, half)
         error = doubt(field)
-        middle = float(field.value) / FULL
+        middle = float(field.value) * ONE_OVER_FULL
         plain = near + across == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
         if near > _ROOM or across > across_room or not error < MOST_DOUBT:
             undone = int(255)
         else:
-            voxels = 1 << (3 * bits)
+            listed = near + across > 0
             if not plain:
-                for number in range(voxels):
-                    v = start + place_in_box(number, bits)
-                    p = scale * voxel(here, v[0], v[1], v[2])
-                    to = at_places + VOXELS * (number >> 4) + (number & 15)
-                    places[to + X] = p[0]
-                    places[to + Y] = p[1]
-                    places[to + Z] = p[2]
-                strips_of_box(rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, voxels)
-            for number in range(voxels):
-                inner = place_in_box(number, bits)
-                v = start + inner
-                if is_left(slab, values, mesh, v):
-                    whole = values[mesh, v[0], v[1], v[2]]
-                    share = middle
-                    wrong = error + change
-                    if not plain:
-                        of = at_places + VOXELS * (number >> 4) + (number & 15)
-                        way = wp.vec3(places[of + X], places[of + Y], places[of + Z]) - c
-                        share = share_at(field, way) + places[of + SHARE]
-                        wrong = error + places[of + ERROR]
-                    if is_sure(whole + share, whole, wrong):
-                        values[mesh, v[0], v[1], v[2]] = opened(whole + share)
-                    else:
-                        h = bits - 1
-                        undone = undone | (1 << (4 * (inner[0] >> h) + 2 * (inner[1] >> h) + (inner[2] >> h)))
+                write_voxels(here, start, scale, places, at_places)
+                if listed:
+                    strips_of_box(rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, 64)
+            undone = settle_voxels(field, here, values, mesh, start, places, at_places, c, plain, listed, 1.0, change)
         fetch_add(counts, looked, 1)
         if undone != 0:
             place = fetch_add(counts, length, 1)
