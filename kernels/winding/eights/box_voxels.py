@@ -9,23 +9,26 @@ import warp as wp
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.primitives.wide_numbers import SIXTEEN, WIDEST_NUMBERS
 from sdm.kernels.winding.cap_field import ONE_OVER_FULL, Cubic, Field, cubic_of
-from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, VOXELS, X, Y, Z
 from sdm.kernels.winding.settled_boxes import LAST_ROUNDING, LAST_ROUNDINGS
 
 wp.set_module_options({"enable_backward": False})
+
+# The voxels of a box lie in 16 rows of four along z, four of which are two octants: where a row is along x and y.
+_OF_ROW = "const int i = 2 * (row >> 3) + (row >> 1 & 1), j = 2 * (row >> 2 & 1) + (row & 1);"
 
 
 @wp.func_native(
     snippet=f"""
 #if !defined(__CUDA_ARCH__)
     float* const voxels = places.data + at;
-    for (int i = 0; i < 4; ++i) {{
-        float* const to = voxels + {VOXELS} * i;
-        for (int n = 0; n < {SIXTEEN}; ++n) {{
-            to[{X} + n] = xs.c[i];
-            to[{Y} + n] = ys.c[n >> 2];
-            to[{Z} + n] = zs.c[n & 3];
+    for (int row = 0; row < 16; ++row) {{
+        {_OF_ROW}
+        float* const to = voxels + {VOXELS} * (row >> 2) + 4 * (row & 3);
+        for (int k = 0; k < 4; ++k) {{
+            to[{X} + k] = xs.c[i];
+            to[{Y} + k] = ys.c[j];
+            to[{Z} + k] = zs.c[k];
         }}
     }}
 #endif
@@ -51,7 +54,8 @@ def write_voxels(slab: Slab, start: wp.vec3i, scale: float, places: wp.array(dty
         write_straight(places, at, xs, ys, zs)
     else:
         for number in range(64):
-            v = start + place_in_box(number, 2)
+            row = number >> 2
+            v = start + wp.vec3i(2 * (row >> 3) + ((row >> 1) & 1), 2 * ((row >> 2) & 1) + (row & 1), number & 3)
             p = scale * voxel(slab, v[0], v[1], v[2])
             to = at + VOXELS * (number >> 4) + (number & 15)
             places[to + X] = p[0]
@@ -68,16 +72,17 @@ def write_voxels(slab: Slab, start: wp.vec3i, scale: float, places: wp.array(dty
     auto load = [&](const float* from) {{ T x; __builtin_memcpy(&x, from, sizeof(T)); return x; }};
     const bool full = within.c[0] >= 4 && within.c[1] >= 4 && within.c[2] >= 4;
     for (int g = 0; g < 64 / WIDE; ++g) {{
-        float* row[rows];
+        float* at_row[rows];
         T whole = all(0.5f);
         for (int r = 0; r < rows; ++r) {{
-            const int i = (rows * g + r) >> 2, j = (rows * g + r) & 3;
-            row[r] = (float*)((char*)values.data + mesh * (long long)values.strides[0]
+            const int row = rows * g + r;
+            {_OF_ROW}
+            at_row[r] = (float*)((char*)values.data + mesh * (long long)values.strides[0]
                 + (start.c[0] + i) * (long long)values.strides[1] + (start.c[1] + j) * (long long)values.strides[2]
                 + start.c[2] * (long long)values.strides[3]);
-            if (full) __builtin_memcpy((float*)&whole + 4 * r, row[r], 16);
+            if (full) __builtin_memcpy((float*)&whole + 4 * r, at_row[r], 16);
             else if (i < within.c[0] && j < within.c[1])
-                for (int k = 0; k < 4 && k < within.c[2]; ++k) whole[4 * r + k] = row[r][k];
+                for (int k = 0; k < 4 && k < within.c[2]; ++k) whole[4 * r + k] = at_row[r][k];
         }}
         const M left = __builtin_convertvector(__builtin_convertvector(whole, M), T) == whole;
         if (!any(left)) continue;
@@ -105,14 +110,15 @@ def write_voxels(slab: Slab, start: wp.vec3i, scale: float, places: wp.array(dty
         const M is_whole = __builtin_convertvector(__builtin_convertvector(winding, M), T) == winding;
         const T to = where(sure, where(is_whole, winding + 0.0625f, winding), whole);
         for (int r = 0; r < rows; ++r) {{
-            const int i = (rows * g + r) >> 2, j = (rows * g + r) & 3;
-            if (full) __builtin_memcpy(row[r], (const float*)&to + 4 * r, 16);
+            const int row = rows * g + r;
+            {_OF_ROW}
+            if (full) __builtin_memcpy(at_row[r], (const float*)&to + 4 * r, 16);
             else if (i < within.c[0] && j < within.c[1])
-                for (int k = 0; k < 4 && k < within.c[2]; ++k) row[r][k] = to[4 * r + k];
+                for (int k = 0; k < 4 && k < within.c[2]; ++k) at_row[r][k] = to[4 * r + k];
         }}
         for (unsigned some = bits_of(left & ~sure); some; some &= some - 1) {{
             const int n = WIDE * g + __builtin_ctz(some);
-            undone |= 1 << ((n >> 5) * 4 + (n >> 3 & 1) * 2 + (n >> 1 & 1));
+            undone |= 1 << (2 * (n >> 4) + (n >> 1 & 1));
         }}
     }}
 #endif
@@ -178,3 +184,27 @@ def settle_voxels(
         values, mesh, start, within, places, at, c, float(field.value) * ONE_OVER_FULL, field.slope, field.squares,
         field.products, cubic_of(field.cubes), plain, listed, sign, field.error * ONE_OVER_FULL, change,
     )  # fmt: skip
+
+
+@wp.func_native(
+    snippet=f"""
+    int found = 0;
+#if !defined(__CUDA_ARCH__)
+    for (int row = 0; row < 16; ++row) {{
+        {_OF_ROW}
+        if (i >= within.c[0] || j >= within.c[1]) continue;
+        const float* const at_row = (const float*)((const char*)values.data + mesh * (long long)values.strides[0]
+            + (start.c[0] + i) * (long long)values.strides[1] + (start.c[1] + j) * (long long)values.strides[2]
+            + start.c[2] * (long long)values.strides[3]);
+        for (int k = 0; k < 4 && k < within.c[2]; ++k)
+            if ((float)(int)at_row[k] == at_row[k]) found |= 1 << (2 * (row >> 2) + (k >> 1));
+    }}
+#endif
+    return found;
+"""
+)
+def octants_left(values: wp.array4d(dtype=wp.float32), mesh: int, start: wp.vec3i, within: wp.vec3i) -> int:
+    """The octants of a box of 4^3, a bit for each, that have voxels which are not open yet; `within` is how many voxels
+    there are from `start` on.
+    """
+    ...

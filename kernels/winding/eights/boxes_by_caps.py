@@ -22,6 +22,9 @@ from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field, share_at
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen, place_in_box
+from sdm.kernels.winding.eights.box_nodes import nodes_of_box
+from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
+from sdm.kernels.winding.eights.box_voxels import octants_left, settle_voxels, write_voxels
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.large_boxes import open_large_boxes
 from sdm.kernels.winding.eights.near_nodes import (
@@ -97,6 +100,7 @@ def open_boxes_by_eights(
     left_octants: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     stacks: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.float32),
     values: wp.array4d(dtype=wp.float32),
 ):
     """Open octants, of 2^bits voxels along each edge, of boxes; those that are left in doubt are listed, with theirs.
@@ -104,6 +108,7 @@ def open_boxes_by_eights(
     Octants of boxes of 2^3 are their voxels: such a box is looked at as one.
     """
     at_stack = (begin + wp.tid()) * STACK
+    at_places = (begin + wp.tid()) * PLACES
     total = values.shape[0] * parents[0] * parents[1] * parents[2]
     if first == 0:
         total = counts[STRIDE * wp.min(level, LISTED_LEVEL) + OF_LISTED]
@@ -179,8 +184,10 @@ def open_boxes_by_eights(
                     _LISTED,
                 ),
             )
-            undone = open_box(field, caps, rows, here, mesh, start, size, again, box.centre, box.half, tolerance,
-                scale, one.root, leaves, one.first, one.count, one.depth, stacks, at_stack, slab, values)  # fmt: skip
+            undone = open_box(
+                field, caps, rows, here, mesh, start, size, again, box.centre, box.half, tolerance, scale, one.root,
+                leaves, one.first, one.count, one.depth, stacks, at_stack, places, at_places, slab, values,
+            )  # fmt: skip
             fetch_add(counts, STRIDE * level + LOOKED, wp.where(again, count_bits(some), 1))
             if not again and undone != 0:
                 place = fetch_add(counts, STRIDE * (level + 1) + OF_LISTED, 1)
@@ -213,6 +220,8 @@ def open_box(
     depth: int,
     stacks: wp.array(dtype=wp.int32),
     at_stack: int,
+    places: wp.array(dtype=wp.float32),
+    at_places: int,
     slab: Slab,
     values: wp.array4d(dtype=wp.float32),
 ):
@@ -231,6 +240,20 @@ def open_box(
         return 255
     middle = float(field.value) / FULL
     plain = far or (field.near == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change))
+    if size == 2 and not far:
+        some = octants_left(values, mesh, start, slab.shape - start)
+        if some != 0 and not plain:
+            write_voxels(here, start, scale, places, at_places)
+            if field.near > 0:
+                nodes_of_box(
+                    caps.moments, rows, base, leaves, caps.tree.corners, first, count, depth, stacks, at_stack,
+                    field.near, some, tolerance, places, at_places,
+                )  # fmt: skip
+        if some != 0:
+            undone = settle_voxels(
+                field, slab, values, mesh, start, places, at_places, centre, plain, field.near > 0, -1.0, change
+            )
+        return undone
     for eighth in range(1 << (3 * (size - 1))):
         corner = start + 2 * place_in_box(eighth, size - 1)
         some = int(0)
@@ -317,6 +340,7 @@ def open_caps_by_eights(
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
     large, stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32), empty(few * STACK, wp.int32)
+    places = empty(few * PLACES, wp.float32)
     nodes = caps.moments.size // MOMENTS_SIZE
     rows = empty(nodes * ROW, wp.float32)
     launch(pack_nodes, nodes, [caps.moments, rows], device)
@@ -350,7 +374,9 @@ def open_caps_by_eights(
             int(level == first),
             *listed,
         ]
-        launch(open_boxes_by_eights, few, [*inputs, left, left_octants, counts, stacks, values], device, smallest=1)
+        launch(
+            open_boxes_by_eights, few, [*inputs, left, left_octants, counts, stacks, places, values], device, smallest=1
+        )
     inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, values]
     launch(_open_exactly_by_eights, workers, inputs, device, smallest=1)
     return counts

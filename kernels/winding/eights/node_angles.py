@@ -16,6 +16,38 @@ wp.set_module_options({"enable_backward": False})
 FEWER = 200.0 * UNIT
 
 
+# What a far node, with moments m, adds at places; and a single cap: f + iv, whose argument is half of what that adds,
+# what it is to be taken times, `scale`, if it is `known`, and its error `off`.
+FAR_NODE = """
+                const T x = m[0] - px, y = m[1] - py, z = m[2] - pz;
+                const T x2 = x * x, y2 = y * y, z2 = z * z, i2 = one / (x2 + y2 + z2), i1 = root(i2);
+                const T p = x2 - z2, q = y2 - z2, two = z2 + z2, xy = x * y;
+                const T line = m[7] * x + m[8] * y + m[9] * z;
+                const T square = m[10] * p + m[13] * q + 2.0f * (m[11] * xy + z * (m[12] * x + m[14] * y));
+                const T cubic = x * (m[15] * (p - two) + (3.0f * m[18]) * q)
+                    + y * (m[20] * (q - two) + (3.0f * m[16]) * p)
+                    + z * (m[17] * (3.0f * p + two) + m[21] * (3.0f * q + two) + (6.0f * m[19]) * xy);
+                const T share = i1 * i2 * (line + i2 * (7.5f * i2 * cubic - 3.0f * square));
+"""
+CAP = f"""
+        const T ax = corner[0].c[0] - px, ay = corner[0].c[1] - py, az = corner[0].c[2] - pz;
+        const T bx = corner[1].c[0] - px, by = corner[1].c[1] - py, bz = corner[1].c[2] - pz;
+        const T cx = corner[2].c[0] - px, cy = corner[2].c[1] - py, cz = corner[2].c[2] - pz;
+        const T la = root(ax * ax + ay * ay + az * az);
+        const T lb = root(bx * bx + by * by + bz * bz);
+        const T lc = root(cx * cx + cy * cy + cz * cz);
+        const T size = la * lb * lc;
+        const T v = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx);
+        const T f = size + (ax * bx + ay * by + az * bz) * lc + (bx * cx + by * cy + bz * cz) * la
+            + (cx * ax + cy * ay + cz * az) * lb;
+        const T shortest = least(least(la, lb), lc), sv = size_of(v), sf = size_of(f), most = most_of(sv, sf);
+        const T room = ({ROUNDINGS}f * shortest + {SNAP}f) * size;
+        const M known = (most * shortest > 10.0f * room) & ((f > none) | (sv * shortest > room));
+        const T inverse = one / (most * shortest);
+        const T off = where(known, {2.0 * WIDER}f * (room * inverse), unknown), scale = inverse * shortest;
+"""
+
+
 @wp.func_native(
     snippet=f"""
     {NUMBERS}
@@ -54,15 +86,8 @@ FEWER = 200.0 * UNIT
             const int node = some[k];
             if (far >> k & 1) {{
                 const float* m = moments.data + {MOMENTS_SIZE} * (size_t)(base + node);
-                const T x = m[0] - px, y = m[1] - py, z = m[2] - pz;
-                const T x2 = x * x, y2 = y * y, z2 = z * z, i2 = one / (x2 + y2 + z2), i1 = root(i2);
-                const T p = x2 - z2, q = y2 - z2, two = z2 + z2, xy = x * y;
-                const T line = m[7] * x + m[8] * y + m[9] * z;
-                const T square = m[10] * p + m[13] * q + 2.0f * (m[11] * xy + z * (m[12] * x + m[14] * y));
-                const T cubic = x * (m[15] * (p - two) + (3.0f * m[18]) * q)
-                    + y * (m[20] * (q - two) + (3.0f * m[16]) * p)
-                    + z * (m[17] * (3.0f * p + two) + m[21] * (3.0f * q + two) + (6.0f * m[19]) * xy);
-                sum = sum + i1 * i2 * (line + i2 * (7.5f * i2 * cubic - 3.0f * square));
+                {FAR_NODE}
+                sum = sum + share;
             }} else {{
                 const long long leaf = node - leaves;
                 if (leaf < 0) errors = unknown;
@@ -86,22 +111,9 @@ FEWER = 200.0 * UNIT
     T re = one, im = none, turns = none, error = none;
     for (int i = 0; i < near; ++i) {{
         const auto* corner = corners.data + nodes[{EXACT} + i];
-        const T ax = corner[0].c[0] - px, ay = corner[0].c[1] - py, az = corner[0].c[2] - pz;
-        const T bx = corner[1].c[0] - px, by = corner[1].c[1] - py, bz = corner[1].c[2] - pz;
-        const T cx = corner[2].c[0] - px, cy = corner[2].c[1] - py, cz = corner[2].c[2] - pz;
-        const T la = root(ax * ax + ay * ay + az * az);
-        const T lb = root(bx * bx + by * by + bz * bz);
-        const T lc = root(cx * cx + cy * cy + cz * cz);
-        const T size = la * lb * lc;
-        const T v = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx);
-        const T f = size + (ax * bx + ay * by + az * bz) * lc + (bx * cx + by * cy + bz * cz) * la
-            + (cx * ax + cy * ay + cz * az) * lb;
-        const T shortest = least(least(la, lb), lc), sv = size_of(v), sf = size_of(f), most = most_of(sv, sf);
-        const T room = ({ROUNDINGS}f * shortest + {SNAP}f) * size;
-        const M known = (most * shortest > 10.0f * room) & ((f > none) | (sv * shortest > room));
-        const T inverse = one / (most * shortest);
-        error = error + where(known, {2.0 * WIDER}f * (room * inverse), unknown);
-        const T x = where(known, f * (inverse * shortest), one), y = where(known, v * (inverse * shortest), none);
+        {CAP}
+        error = error + off;
+        const T x = where(known, f * scale, one), y = where(known, v * scale, none);
         const T new_re = re * x - im * y, new_im = re * y + im * x;
         const M below = im < none, below_now = new_im < none;
         turns = turns + where(~below & (y > none) & below_now, one, none);
