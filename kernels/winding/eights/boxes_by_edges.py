@@ -27,7 +27,7 @@ from sdm.kernels.winding.eights.box_voxels import settle_voxels, write_voxels
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
-from sdm.kernels.winding.rims.edge_boxes import ASIDE, BOX_BITS, ROOM, TOLERANCES, WIDER, field_of
+from sdm.kernels.winding.rims.edge_boxes import ASIDE, ROOM, TOLERANCES, WIDER, field_of
 from sdm.kernels.winding.rims.exact_voxels import place_of_voxel
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
@@ -35,6 +35,8 @@ from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, open
 wp.set_module_options({"enable_backward": False})
 
 _ROOM = ROOM["cpu"]
+# Of the size of boxes, which `box_voxels` settles.
+BOX_BITS = 2
 
 
 @wp.kernel
@@ -168,7 +170,7 @@ def open_edges_by_eights(
     launch(pack_edges, meshes, [boundary, blocks, rows, packed], device, smallest=1)
     stacks = empty(workers * LARGE_STACK_ON_CPU, wp.int32)
     places = empty(workers * PLACES, wp.float32)
-    bits, tolerance = BOX_BITS["cpu"], TOLERANCES["cpu"]
+    bits, tolerance = BOX_BITS, TOLERANCES["cpu"]
     level = BITS.index(bits)
     at, after = STRIDE * level, STRIDE * (level + 1)
     cells = wp.vec3i(*(-(-n >> bits) for n in shape))
