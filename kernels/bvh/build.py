@@ -20,6 +20,7 @@ from sdm.kernels.bvh.tree import (
     LATTICE,
     LATTICE_STEPS,
     LOW_X,
+    REACH,
     SCALE,
     UNSCALE,
     Tree,
@@ -122,6 +123,7 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
             extent = wp.max(extent, high - low)
         diagonal2 = diagonal2 + (high - low) * (high - low)
     frame[base + DIAGONAL] = wp.sqrt(diagonal2)
+    frame[base + REACH] = largest * scale
     frame[base + LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
 
 

@@ -34,8 +34,8 @@ LATTICE_SLACK = wp.float64(2.0**-27)
 # Entries of a mesh's part, where meshes differ: its first slot, which is its first row of the faces too, its triangles,
 # levels, first node, and the last levels that candidate lists do without.
 FIRST, COUNT, DEPTH, ROOT, LEFT_OUT, PART_SIZE = 0, 1, 2, 3, 4, 5
-# Entries of a mesh's frame.
-SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, DIAGONAL, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 6, 8
+# Entries of a mesh's frame; `REACH` is its largest coordinate, scaled.
+SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, DIAGONAL, REACH, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # Bytes of a triangle's corners and normal.
 _CORNERS_SIZE = 48
 

@@ -201,7 +201,7 @@ def _search_bricks(
         # Each split of a list has the whole of it. Maps of a list that are longer are searched by the tree, as alone.
         wanted = split_of(code) == 0 and wp.max(here.shape) < below
         if wanted and length > 0 and is_within(here, start):
-            if is_coarse(make_cell(one, here, mesh, start, size)):
+            if is_coarse(one, mesh, make_cell(one, here, mesh, start, size)):
                 inner = (item % turns) * together + lane / each
                 at = start + wp.vec3i(inner / (size * size), (inner / size) % size, inner % size)
                 scale = tree.frame[mesh * FRAME_SIZE + SCALE]

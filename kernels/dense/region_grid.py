@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
+from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, REACH, SCALE, Tree
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, octant_at
 from sdm.kernels.geometry.voxel_grid import REGION, SLAB_ROW, Slab, mesh_in_rows, slab_of, unravel
 
@@ -16,8 +16,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Voxels along the edge of the largest block that is measured at a time.
 BLOCK = 8
-# Half-width of a box of voxels, scaled, beyond which it is not measured as a whole.
-COARSEST = 0.125
+# Half-width of a box of voxels, in units of the mesh's largest coordinate, beyond which it is not measured as a whole:
+# errors are up to 3.3 roundings with this one, 3.9 with a quarter (bench/decisions/0057-frames-of-small-maps.md).
+COARSEST = 0.1875
 
 
 @wp.struct
@@ -41,9 +42,9 @@ def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
 
 
 @wp.func
-def is_coarse(cell: VoxelBox):
-    """True if a box is so wide that float32 rounds a place in it too much."""
-    return wp.max(cell.half) > COARSEST
+def is_coarse(tree: Tree, mesh: int, cell: VoxelBox):
+    """True if a box is so wide beside a mesh that float32 rounds a place in it too much."""
+    return wp.max(cell.half) > COARSEST * float(tree.frame[mesh * FRAME_SIZE + REACH])
 
 
 @wp.func

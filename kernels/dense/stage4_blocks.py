@@ -139,7 +139,8 @@ def _schedule_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
                 known = no_witness()
                 if length > 0:
                     known = nearest_of_cell(share_witnesses, cells.shares, number)
-                if is_coarse(cell):
+                coarse = is_coarse(one, mesh, cell)
+                if coarse:
                     store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
                 else:
                     if length > 0:
@@ -151,7 +152,7 @@ def _schedule_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
                     if grid.cell > BLOCK:
                         store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
                 if lane == 0:
-                    share_out(schedule, not is_coarse(cell), number, length, split_length)
+                    share_out(schedule, not coarse, number, length, split_length)
             number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
 
     return _schedule_blocks

@@ -286,7 +286,7 @@ def _select_features_kernel(of_groups: Any, module: str | None = None) -> Any:
                 # An empty part of the list.
                 head = 0
             if within and length > 0 and block.known.distance2 < LARGEST_SQUARE and share < shares:
-                if not is_coarse(block.box):
+                if not is_coarse(tree, block.mesh, block.box):
                     if listed < bricks:
                         block.known = find_brick_witness(
                             tree_of(tree, block.mesh),

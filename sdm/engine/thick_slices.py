@@ -18,10 +18,11 @@ from functools import lru_cache
 from itertools import product
 from typing import Any, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE
+from sdm.kernels.bvh.tree import FRAME_SIZE, REACH, SCALE
 from sdm.kernels.dense.cost_model import THINNEST_SLAB, expected_list, search_is_faster
 from sdm.kernels.dense.region_grid import BLOCK, COARSEST
 from sdm.kernels.plan_options import PlanOptions
@@ -36,6 +37,8 @@ WORTH_IT = 0.7
 FEWEST = 200
 # Voxels of the thinnest slab of a finer grid that there may be, which bounds memory.
 LARGEST = 1 << 25
+# Steps of a mesh's largest coordinate, and the smallest, of a mesh that is a point.
+STEPS, SMALLEST = 16, 2.0**-32
 MOST_LAYERS = (1 << 31) // max(PlanOptions.slice_factors) - THINNEST_SLAB
 
 Triple: TypeAlias = tuple[int, int, int]
@@ -57,7 +60,7 @@ def finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...]
 
     Args:
         slices: Of slabs of one grid their number along the first axis does not matter, so that all are treated alike.
-        scale: What a mesh's coordinates are multiplied by, so that it is at most 2 wide.
+        scale: See `scales_of`.
         triangles: Of the mesh.
         factors: Those to choose from, see `PlanOptions.slice_factors`.
     """
@@ -76,8 +79,13 @@ def finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...]
 
 
 def scales_of(tree: Any, meshes: int) -> list[float]:
-    """Scale that each mesh of a `Tree` is multiplied by; waits for the device."""
-    return tree.frame.numpy().reshape(meshes, FRAME_SIZE)[:, SCALE].tolist()
+    """What each mesh of a `Tree` is multiplied by, so that its largest coordinate is 1; waits for the device.
+
+    Or a little more than 1, so that a mesh that moves is mostly what it was: decisions are remembered by it.
+    """
+    frame = tree.frame.numpy().reshape(meshes, FRAME_SIZE)
+    largest = np.maximum(np.floor(STEPS * frame[:, REACH]) / STEPS, SMALLEST)
+    return (frame[:, SCALE] / largest).tolist()
 
 
 def _across(slices: Slices, times: Triple) -> tuple[int, ...]:

@@ -13,8 +13,8 @@ from sdm.engine.plan_override import plan_override
 from sdm.engine.thick_slices import Slices, finer
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
-# Across a mesh that is 2 wide: 100 and 20 slices.
-THIN, THICK = 0.02, 0.1
+# Across a mesh that is 2 wide: 100 and 13 slices.
+THIN, THICK = 0.02, 0.15
 TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 
 

@@ -283,7 +283,7 @@ def test_lists_of_larger_leaves(seen, name, levels):
 
 
 @pytest.mark.parametrize("shares", [1, 4])
-@pytest.mark.parametrize("room", [1 << 11, 1 << 13, 1 << 15, 1 << 16, 3 << 15])
+@pytest.mark.parametrize("room", [1 << 11, 1 << 13, 1 << 14, 1 << 15, 3 << 14])
 def test_a_pool_that_runs_out(seen, room, shares):
     """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its splits."""
     mesh = mesh_of("overlapping shells")
