@@ -12,9 +12,9 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.bvh.node_boxes import bound_nodes
 from sdm.kernels.bvh.rank_sort import RankSort, bucket_of, is_ranked
 from sdm.kernels.bvh.tree import (
-    BY_FACES,
     DIAGONAL,
     FRAME_SIZE,
     LATTICE,
@@ -24,14 +24,11 @@ from sdm.kernels.bvh.tree import (
     SCALE,
     UNSCALE,
     Tree,
-    first_triangle,
     mesh_of_slot,
-    nodes_of,
     rows_before,
     slots_of,
     to_lattice,
     tree_of,
-    write_box,
     write_corners,
 )
 from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
@@ -40,13 +37,13 @@ from sdm.kernels.launch import LIGHT_SHARE, launch
 from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
 from sdm.kernels.primitives.atomics import fetch_add, lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
-from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
-from sdm.kernels.primitives.vector_loads import read4, write4
+from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes
+from sdm.kernels.primitives.vector_loads import write4
 
 wp.set_module_options({"enable_backward": False})
 
-# Most levels of boxes that one launch makes; and triangles that each lane looks at for the mesh's, of few and of many.
-LEVELS_AT_ONCE, FEW_RUN, RUN = 8, 2, 8
+# Triangles that each lane looks at for the mesh's bounds, of few and of many.
+FEW_RUN, RUN = 2, 8
 FEW_TRIANGLES = 1 << 15
 LARGEST_SCALE = wp.float64(2.0**126)
 # Bytes of a triangle's corners on the lattice.
@@ -229,62 +226,6 @@ def _gather_triangles(
     write4(normals, slots_of(one, mesh) + f, n[0], n[1], n[2], 0.0)
 
 
-@wp.func
-def bound_leaf(tree: Tree, mesh: int, leaf: int):
-    low = wp.vec3(wp.inf, wp.inf, wp.inf)
-    high = -low
-    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-        slot = slots_of(tree, mesh) + t
-        for corner in range(3):
-            v = tree.corners[4 * slot + corner]
-            low = wp.min(low, v)
-            high = wp.max(high, v)
-    leaves = 1 << tree.depth
-    write_box(tree, nodes_of(tree, mesh) + leaves + leaf, low, high)
-
-
-def _bound_levels_kernel(of_faces: Any) -> Any:
-    @wp.kernel
-    def _bound_levels(begin: int, lanes: int, given_tree: Tree, lowest: int, width: int, most: int):
-        """Boxes of up to `most` levels, the lowest of them so many above the leaves: a group of lanes for a node of the
-        highest and what is below it, and `width` groups for each mesh.
-
-        From the children's below them, or from the triangles.
-        """
-        tree = of_faces(given_tree)
-        thread = begin + wp.tid()
-        lane = thread % lanes
-        group = thread / lanes
-        mesh = group / width
-        one = tree_of(tree, mesh)
-        levels = wp.min(one.depth - lowest + 1, most)
-        highest = one.depth - lowest + 1 - levels
-        top = (1 << highest) + group - mesh * width
-        # Of meshes that differ, one with fewer levels takes fewer groups.
-        if levels <= 0 or top >= 2 << highest:
-            return
-        leaves = 1 << one.depth
-        base = nodes_of(one, mesh)
-        for back in range(levels):
-            down = levels - 1 - back
-            node = (top << down) + lane
-            while node < (top + 1) << down:
-                if node >= leaves:
-                    bound_leaf(one, mesh, node - leaves)
-                else:
-                    left = 2 * (base + 2 * node)
-                    low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
-                    high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
-                    write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
-                node = node + lanes
-            wait_for_lanes()
-
-    return _bound_levels
-
-
-_BOUND_LEVELS = [_bound_levels_kernel(own) for own in BY_FACES]
-
-
 def reset_bounds(bounds: wp.array) -> None:
     """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`."""
     launch(_reset_bounds, bounds.shape[0], [bounds], bounds.device)
@@ -353,7 +294,6 @@ def build_in_frame(
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
     meshes, total = vertices.shape[0], tree.face.shape[0]
-    lanes = GPU_LANES if device.is_cuda else 1
     bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
     # The meshes' numbers are above the curve's codes.
     all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
@@ -374,11 +314,4 @@ def build_in_frame(
     launch(_gather_triangles, total, [vertices, faces, order, tree, normals], device, smallest=LIGHT_SHARE)
     if gathered is not None:
         gathered()
-    level = tree.depth + 1
-    # A launch costs more than a few boxes one after the other; of several each takes about as many.
-    at_once = -(-level // -(-level // LEVELS_AT_ONCE))
-    while level > 0:
-        lowest, levels = tree.depth + 1 - level, min(level, at_once)
-        level -= levels
-        inputs = [lanes, tree, lowest, 1 << level, levels]
-        launch(_BOUND_LEVELS[not tree.meshes], (meshes << level) * lanes, inputs, device, smallest=8)
+    bound_nodes(tree, meshes)
