@@ -17,7 +17,7 @@ class PlanOptions:
     Args:
         method: Path of maps: `"cells"` is fast, `"search"` plain, `"auto"` the one that is expected to be faster.
         points_method: Path of scattered points: `"lists"` is fast on a GPU, `"search"` plain, `"auto"` either.
-        cell: Voxels along the edge of a cell: 8 or 16.
+        cell: Voxels along the edge of a cell: 4, 8 or 16.
         shares: Groups of lanes that make the candidate list of each region, and of each cell: powers of two, the
             second at most the first.
         block_shares: Groups of lanes that make the list of features of each block: at most 32.

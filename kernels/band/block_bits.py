@@ -180,11 +180,15 @@ def _list_regions(
             if edge * x + i < bits.along[0] and edge * y + j < bits.along[1]:
                 row = (edge * x + i) * bits.along[1] + edge * y + j
                 mine = bits.words[row * bits.deep + word] >> shift
-                first = 4 * (i / half) + 2 * (j / half)
-                if (mine & low) != 0:
-                    cells = cells | (1 << first)
-                if ((mine >> half) & low) != 0:
-                    cells = cells | (2 << first)
+                if edge == 1:
+                    # All cells are in one block.
+                    cells = wp.where((mine & 1) != 0, 255, 0)
+                else:
+                    first = 4 * (i / half) + 2 * (j / half)
+                    if (mine & low) != 0:
+                        cells = cells | (1 << first)
+                    if ((mine >> half) & low) != 0:
+                        cells = cells | (2 << first)
     if cells != 0:
         place = fetch_add(counts, REGIONS, 1)
         if place < regions.shape[0]:
@@ -196,7 +200,7 @@ def list_bits(
     ends: wp.array,
     table: Any,
     order: wp.array,
-    cell_bits: int | None,
+    region_bits: int | None,
     regions: wp.array,
     counts: wp.array,
 ) -> None:
@@ -209,7 +213,7 @@ def list_bits(
         ends: (2 * (rows + lines),) int32, workspace.
         table: A `BlockTable` of all rows, whose arrays are filled.
         order: Filled with the blocks' places, sorted by y, then z, then x.
-        cell_bits: Cells have 2^this blocks along an edge, 0 or 1; None for no regions.
+        region_bits: Regions have 2^this blocks along an edge, 0 to 2; None for none.
         regions: vec4i, filled in any order: places, and a bit for each cell that has a block.
         counts: (COUNTS,) int32, zeros: `BLOCKS` and `REGIONS` are counted.
     """
@@ -220,8 +224,8 @@ def list_bits(
     inputs = [bits, summed, order.size, table.blocks, table.rows, counts]
     launch(_write_blocks, rows * int(bits.deep), inputs, device)
     launch(_write_order, lines * int(bits.wide), [bits, summed, order], device)
-    if cell_bits is not None:
-        edge = 2 << cell_bits
+    if region_bits is not None:
+        edge = 1 << region_bits
         x, y, z = (-(-n // edge) for n in bits.along)
-        inputs = [bits, cell_bits + 1, wp.vec3i(x, y, z), regions, counts]
+        inputs = [bits, region_bits, wp.vec3i(x, y, z), regions, counts]
         launch(_list_regions, x * y * z, inputs, device)

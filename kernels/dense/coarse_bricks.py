@@ -34,7 +34,7 @@ from sdm.kernels.dense.chunk_pool import (
     start_reading,
 )
 from sdm.kernels.dense.counters import COARSE
-from sdm.kernels.dense.region_grid import RegionGrid, brick_start, is_coarse, make_cell
+from sdm.kernels.dense.region_grid import BLOCK, RegionGrid, brick_start, is_coarse, make_cell
 from sdm.kernels.dense.voxel_search import note_searched
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import (
@@ -184,22 +184,28 @@ def _search_bricks(
     thread = begin + wp.tid()
     lane = thread % lanes
     item = thread / lanes
-    size = grid.cell / 2
+    # Cells of 4^3 voxels have no bricks.
+    whole = grid.cell < BLOCK
+    size = wp.where(whole, grid.cell, grid.cell / 2)
     together = lanes / each
     turns = size * size * size / together
     address = distances_at(out)
-    while item < 8 * schedule.counters[COARSE] * turns:
+    while item < 8 * wp.where(whole, grid.count, schedule.counters[COARSE]) * turns:
         brick = item / turns
-        code = schedule.coarse[brick / 8]
+        code = int(brick)
+        if not whole:
+            code = schedule.coarse[brick / 8]
         number = cell_of(code)
         place = cached_box(cache, number)
         mesh = place.mesh
         one = tree_of(tree, mesh)
         here = slab_of(slab, mesh)
-        start = brick_start(grid, place.start, brick % 8)
+        start = place.start
+        if not whole:
+            start = brick_start(grid, place.start, brick % 8)
         length = list_length(cells, number * cells.shares, cells.shares)
         # Each split of a list has the whole of it. Maps of a list that are longer are searched by the tree, as alone.
-        wanted = split_of(code) == 0 and wp.max(here.shape) < below
+        wanted = (whole or split_of(code) == 0) and wp.max(here.shape) < below
         if wanted and length > 0 and is_within(here, start):
             if is_coarse(one, mesh, make_cell(one, here, mesh, start, size)):
                 inner = (item % turns) * together + lane / each

@@ -38,6 +38,8 @@ SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 # Voxels along the longest axis of the smallest grid that may have them: bricks of 8^3 voxels of a coarser one around a
 # mesh are too wide for float32, and are searched voxel by voxel (`region_grid.is_coarse`).
 FINE_FOR_WIDE = 96
+# And across the largest one whose cells have 4^3 voxels, as those of 8^3 would be too wide.
+COARSE_FOR_CELLS = 40
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256
@@ -93,7 +95,12 @@ def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
 
 
 def cell_for(triangles: int, shape: Sequence[int], gpu: bool) -> int:
-    """Voxels along the edge of a cell: 8, or 16 where the lists of such cells are expected to be short."""
+    """Voxels along the edge of a cell: 8, or 16 where the lists of such cells are expected to be short.
+
+    On a GPU 4 where larger ones would be too wide for float32: lists of their bricks are the work of few groups.
+    """
+    if gpu and max(shape[1:]) <= COARSE_FOR_CELLS:
+        return 4
     short = expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"]
     return 16 if short and max(shape) >= FINE_FOR_WIDE else 8
 
@@ -163,7 +170,9 @@ def shares_and_parts(triangles: int, shape: Sequence[int], regions: int, cell: i
     length = expected_list(triangles, shape, int(BLOCK))
     # A region has eight cells, which are measured as they are, or by bricks.
     lists = 8 * regions
-    return groups_of_block(lists, length), groups_of_block(8 * lists if cell > int(BLOCK) else lists, length)
+    parts = groups_of_block(8 * lists if cell > int(BLOCK) else lists, length)
+    # Parts are octants, of which a cell of 4^3 voxels is one.
+    return groups_of_block(lists, length), parts if cell >= int(BLOCK) else 1
 
 
 def without_idle_splits(split_length: int, depth: int) -> int:

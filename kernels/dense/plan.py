@@ -57,7 +57,7 @@ class Plan:
 
     Args:
         method: `"cells"` for the seven stages, `"search"` for one search a voxel.
-        cell: Voxels along the edge of a cell: 8 or 16.
+        cell: Voxels along the edge of a cell: 4, 8 or 16.
         regions: Regions of 2^3 cells along each axis of the slab.
         total: Regions of all meshes.
         passes: Passes over the regions, each of which takes one of so many.

@@ -1,7 +1,8 @@
 """Regions, cells and bricks of voxels: the boxes that the stages of the dense query work on.
 
 A cell has 8^3 voxels, a region 2^3 cells, and a brick is an eighth of a cell. Where the candidate lists of larger cells
-are short as well, cells have 16^3 voxels, and their bricks, which then have 8^3, are measured from one list.
+are short as well, cells have 16^3 voxels, and their bricks, which then have 8^3, are measured from one list. On a small
+grid they have 4^3, and no bricks.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class RegionGrid:
     first: wp.int32  # first region of this pass, counting through the meshes
     step: wp.int32  # from it to the next
     count: wp.int32  # regions of this pass
-    cell: wp.int32  # voxels along the edge of a cell: 8 or 16
+    cell: wp.int32  # voxels along the edge of a cell: 4, 8 or 16
 
 
 @wp.func

@@ -1,9 +1,9 @@
 """Stage 4 of the dense query: the schedule of blocks, and the witness of each.
 
 A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
-there are several, each with a split of it: then none is waited for. Of a cell that is too coarse for float32 the eight
-bricks are blocks with lists of their own. Blocks with long lists come first, so that those that are left to the end,
-when some of the device has nothing to do, are short.
+there are several, each with a split of it: then none is waited for. Of a cell of 8^3 voxels or more that is too coarse
+for float32 the eight bricks are blocks with lists of their own. Blocks with long lists come first, so that those that
+are left to the end, when some of the device has nothing to do, are short.
 """
 
 from __future__ import annotations
@@ -139,8 +139,8 @@ def _schedule_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
                 known = no_witness()
                 if length > 0:
                     known = nearest_of_cell(share_witnesses, cells.shares, number)
-                coarse = is_coarse(one, mesh, cell)
-                if coarse:
+                by_bricks = grid.cell >= BLOCK and is_coarse(one, mesh, cell)
+                if by_bricks:
                     store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
                 else:
                     if length > 0:
@@ -152,7 +152,7 @@ def _schedule_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
                     if grid.cell > BLOCK:
                         store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
                 if lane == 0:
-                    share_out(schedule, not coarse, number, length, split_length)
+                    share_out(schedule, not by_bricks, number, length, split_length)
             number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
 
     return _schedule_blocks

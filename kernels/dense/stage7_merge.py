@@ -41,8 +41,8 @@ def split_voxels(grid: RegionGrid, schedule: BlockSchedule):
 @wp.func
 def split_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, number: int):
     """The mesh, the cell and the index of one of them; -1 if it is beyond the slab."""
-    # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
-    bits = wp.where(grid.cell == BLOCK, 3, 4)
+    # Cells have 4, 8 or 16 voxels along an edge, so that nothing has to be divided.
+    bits = wp.where(grid.cell < BLOCK, 2, wp.where(grid.cell == BLOCK, 3, 4))
     last = grid.cell - 1
     cell = schedule.split_cells[number >> (3 * bits)]
     mesh, start = cached_start(cache, cell)

@@ -113,13 +113,14 @@ def queue_list(band: BandSlab, room: Room) -> Listed:
     begins = torch.empty(along[0] * along[1] + 1, dtype=torch.int32, device=device)
     regions = torch.empty((room.regions, 4), dtype=torch.int32, device=device)
     table = _table(blocks, begins, (0, 0), along[:2])
-    cell_bits = band.plan.cell // BLOCK - 1 if band.times == AS_IT_IS else None
+    # Of 2^3 cells of 4, 8 or 16 voxels.
+    region_bits = band.plan.cell // BLOCK if band.times == AS_IT_IS else None
     list_bits(
         bits,
         as_warp(ends, wp.int32),
         table,
         as_warp(order, wp.int32),
-        cell_bits,
+        region_bits,
         as_warp(regions, wp.vec4i),
         as_warp(counts, wp.int32),
     )
