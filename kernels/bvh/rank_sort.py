@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Most triangles that compare themselves with all others, and that are sorted here at all: if all were in one bucket, of
 # more each would be compared with too many.
-COMPARED, LARGEST = 4864, 20_481
+COMPARED, LARGEST = 6144, 20_481
 # Bits of a key that tell its bucket.
 BUCKET_BITS = 10
 BUCKETS = wp.constant(1 << BUCKET_BITS)

@@ -31,8 +31,9 @@ from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.kernels.winding.winding_number import Winding
 
-# Gives a context whose result makes what comes after it wait for what was launched in it.
-Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
+# Gives a context whose result makes what comes after it wait for what was launched in it; `since`: what comes before
+# that, in place of all that was launched.
+Beside: TypeAlias = Callable[..., AbstractContextManager[Callable[[], None]]]
 
 
 class OwnStages(NamedTuple):
@@ -57,11 +58,15 @@ def _nothing() -> None:
 
 
 class Pending(NamedTuple):
-    """Calls before parts of a surface are looked at, where those are made beside a query's first stages."""
+    """Calls before parts of a surface are looked at, where those are made beside a query's first stages.
+
+    And one that waits for what comes before the surface, beside which memory is zeroed; None waits for all.
+    """
 
     boundary: Callable[[], Callable[[], None]] = lambda: _nothing  # see `slab_winding`
     cones: Callable[[], None] = _nothing
     features: Callable[[], None] = _nothing
+    since: Callable[[], None] | None = None
 
 
 MADE = Pending()
@@ -102,6 +107,10 @@ def query_slab(
         pending: Of the surface and the winding data.
     """
     values = target.values
+    work = None if plan.method == "search" else make_workspace(plan, empty)
+    with beside(since=pending.since) as zeroed:
+        if work is not None:
+            work.begin_pass(plan, 0)
     with beside() as join:
         if winding is None:
             values.zero_()
@@ -109,13 +118,14 @@ def query_slab(
             # This is bound by memory, and making lists is not.
             slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns, pending.boundary)
     out = output_of(target, empty)
-    if plan.method == "search":
+    zeroed()
+    if work is None:
         pending.cones()
         pending.features()
         join()
         search_slab(surface.tree, slab, out, slab.meshes or values.shape[0])
     else:
-        run_stages(surface, slab, out, plan, empty, beside, join, pending=pending)
+        run_stages(surface, slab, out, plan, empty, beside, join, pending=pending, begun=work)
 
 
 def output_of(target: Target, empty: Callable[[int, Any], wp.array]) -> Any:

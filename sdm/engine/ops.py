@@ -257,7 +257,11 @@ def _query_slices(
         surface = dense.Surface(tree, frames, features, cones)
 
         def measure(winding: Any, slices: Slices, values: Tensor) -> Tensor:
-            ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
+            ambiguous = torch.empty(meshes, dtype=torch.int32, device=device)
+            given = as_warp(ambiguous, wp.int32)
+            # The winding numbers' branch is waited for before any is counted.
+            with kernels_beside(values, WINDING, since=pending.since):
+                given.zero_()
             # Calls are recorded on a GPU alone.
             slot = current_slot() if values.is_cuda else None
             work = Workload(structure.sizes.faces, tree.depth, meshes, slices.shape, slices.spacing, turned)
@@ -267,7 +271,7 @@ def _query_slices(
                 slab_view(origin, slices.spacing, slices.shape, slices.first, direction),
                 dense.Target(
                     as_warp(values, wp.float32),
-                    as_warp(ambiguous, wp.int32),
+                    given,
                     None if slot is None else as_warp(slot.bind(values), wp.int64),
                 ),
                 make_plan(work, memory_of(warp_device.alias), options),

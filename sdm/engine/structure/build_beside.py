@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_boundary, fill_surface, kind_of
 from sdm.kernels.dense.query import Pending
-from sdm.runtime.graphs.branches import Join
+from sdm.runtime.graphs.branches import Join, fork
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.boundary_edges import MeshTopology
 
@@ -34,6 +34,7 @@ def build_beside(
     meshes, count, edges = vertices.shape[0], faces.shape[0], topology.boundary.shape[0]
     structure = AccelerationStructure.in_block(Sizes(meshes, count, edges, kind_of(edges, count)), vertices.device)
     unjoined: list[Join] = []
+    begin = fork(vertices.device)
     bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
     with on_current_stream(vertices, vertices, faces, *topology):
         room = as_warp(bounds, wp.float32)
@@ -49,4 +50,4 @@ def build_beside(
     def join_features(_kept: Join = kept) -> None:
         features()
 
-    return structure, Pending(boundary, cones, join_features)
+    return structure, Pending(boundary, cones, join_features, begin)
