@@ -18,8 +18,8 @@ wp.set_module_options({"enable_backward": False})
 # Voxels along the edge of the largest block that is measured at a time.
 BLOCK = 8
 # Half-width of a box of voxels, in units of the mesh's largest coordinate, beyond which it is not measured as a whole:
-# errors are up to 3.3 roundings with this one, 3.9 with a quarter (bench/decisions/0057-frames-of-small-maps.md).
-COARSEST = 0.1875
+# errors are up to 3.3 roundings with a fifth, 3.9 with a quarter (bench/decisions/0057-frames-of-small-maps.md).
+COARSEST = 0.2
 
 
 @wp.struct
