@@ -79,9 +79,9 @@ def finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...]
 
 
 def scales_of(tree: Any, meshes: int) -> list[float]:
-    """What each mesh of a `Tree` is multiplied by, so that its largest coordinate is 1; waits for the device.
+    """Factors that bring each mesh of a `Tree` to a largest coordinate of 1, or a little more; waits for the device.
 
-    Or a little more than 1, so that a mesh that moves is mostly what it was: decisions are remembered by it.
+    So a mesh that moves mostly has the factor that it had: decisions are remembered by it.
     """
     frame = tree.frame.numpy().reshape(meshes, FRAME_SIZE)
     largest = np.maximum(np.floor(STEPS * frame[:, REACH]) / STEPS, SMALLEST)
