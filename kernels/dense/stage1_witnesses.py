@@ -1,9 +1,9 @@
 """Stage 1 of the dense query: witnesses, surface points near the centres of regions and cells, which all else is
 compared with (see `witness_bound`).
 
-The lanes of a group look on all sides of a region: from the centre, then from places as far from it as the surface is,
-each goes down the tree, always to the nearer child, and measures the triangles that it comes to. A cell takes what its
-region found, or what is found from its own centre.
+The lanes of a group look at all of the surface for a region: from one of the tree's nodes of a level each goes down,
+always to the child that is nearer to the centre, and measures the triangles that it comes to. A cell takes what its
+region found, or what is found from the root for its own centre.
 """
 
 from __future__ import annotations
@@ -24,30 +24,21 @@ from sdm.kernels.primitives.lanes import ballot, members
 
 wp.set_module_options({"enable_backward": False})
 
-# Sides on which to look.
+# Nodes from which to look.
 PROBES = 32
 
 
 @wp.func
-def greedy_leaf(tree: Tree, mesh: int, p: wp.vec3):
-    """A leaf near p: always the nearer child."""
+def greedy_leaf(tree: Tree, mesh: int, first: int, p: wp.vec3):
+    """A leaf near p below the node `first`: always the nearer child."""
     base = nodes_of(tree, mesh)
-    node = int(1)
-    for _level in range(tree.depth):
+    node = int(first)
+    while node < 1 << tree.depth:
         left = base + 2 * node
         left2 = node_distance2(tree, left, p)
         right2 = node_distance2(tree, left + 1, p)
         node = 2 * node + wp.where(right2 < left2, 1, 0)
     return node - (1 << tree.depth)
-
-
-@wp.func
-def probe_direction(probe: int):
-    """Directions spread evenly over the sphere (a Fibonacci lattice)."""
-    turn = 2.399963 * float(probe)
-    z = 1.0 - (2.0 * float(probe % PROBES) + 1.0) / float(PROBES)
-    r = wp.sqrt(1.0 - z * z)
-    return wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)
 
 
 @wp.func
@@ -58,9 +49,9 @@ def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
 
 
 @wp.func
-def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp.vec3, centre: wp.vec3, known: Witness):
-    """Witness of a centre: the one known, or a nearer triangle from a leaf near p."""
-    leaf = greedy_leaf(tree, mesh, p)
+def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, first: int, centre: wp.vec3, known: Witness):
+    """Witness of a centre: the one known, or a nearer triangle from a leaf near it below the node `first`."""
+    leaf = greedy_leaf(tree, mesh, first, centre)
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
         known = remember(known, seen_from(frames, slots_of(tree, mesh) + t, centre))
     return known
@@ -95,14 +86,12 @@ def nearer_of_leaves(
 def region_witness(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, centre: wp.vec3, lane: int, lanes: int):
     """Witness of a region's centre, by all lanes of a group."""
     known = no_witness()
-    reach = float(0.0)
-    probe = lane
-    while probe < PROBES + lanes:
-        p = centre + reach * probe_direction(probe)
-        known = agree(nearer_leaf(tree, frames, mesh, p, centre, known), lane)
-        reach = wp.sqrt(known.distance2)
+    probes = wp.min(PROBES, 1 << tree.depth)
+    probe = int(lane)
+    while probe < probes:
+        known = nearer_leaf(tree, frames, mesh, probes + probe, centre, known)
         probe = probe + lanes
-    return known
+    return agree(known, lane)
 
 
 @wp.func
@@ -110,7 +99,7 @@ def cell_witness(
     tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, cell: wp.vec3, region: wp.vec3, known: Witness
 ):
     """Witness of a cell's centre: that of its region's centre, or a nearer one."""
-    return nearer_leaf(tree, frames, mesh, cell, cell, moved(known, cell - region))
+    return nearer_leaf(tree, frames, mesh, 1, cell, moved(known, cell - region))
 
 
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
