@@ -16,6 +16,8 @@ wp.set_module_options({"enable_backward": False})
 # A cell's number, which of its splits, how many there are less one, in one integer.
 CELL_BITS, SPLIT_BITS = 18, 6
 _MOST_SPLITS = 1 << SPLIT_BITS
+# Groups of lanes that are enough to make lists of features, or to measure blocks.
+BUSY = 1 << 11
 
 
 @wp.func
@@ -46,6 +48,15 @@ def one_group(groups: int):
 
 
 BY_GROUPS = any_groups, one_group
+
+
+@wp.func
+def groups_at_work(most: int, blocks: int):
+    """Groups of lanes that share each of so many blocks: a power of two, at most `most`, and no more than are busy."""
+    groups = int(most)
+    while groups > 1 and groups * blocks > BUSY:
+        groups = groups / 2
+    return groups
 
 
 @wp.struct

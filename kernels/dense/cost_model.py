@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 from sdm.kernels.bvh.tree import LARGEST_LEAF
-from sdm.kernels.dense.block_schedule import CELL_BITS
+from sdm.kernels.dense.block_schedule import BUSY, CELL_BITS
 from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.region_grid import BLOCK
 from sdm.kernels.primitives.lanes import GPU_LANES
@@ -53,10 +53,9 @@ NO_SPLITS = 1 << 30
 # Voxels along the longest axis of a slab from which on its bricks are hardly ever too coarse for float32; and longer
 # than any.
 FINE, ALL_COARSE = 128, 1 << 30
-# Groups of lanes that are enough to make lists of features, or to measure blocks. And up to which triangles of a cell's
-# list, on average, up to how many work at one block: each works all features of its octants out anew, which costs more
-# than it saves where these are many. It decides about no bits.
-BUSY, GROUPS_OF_BLOCK = 1 << 11, ((160.0, 4), (600.0, 2))
+# Up to which triangles of a cell's list, on average, up to how many groups of lanes work at one block: each works all
+# features of its octants out anew, which costs more than it saves where these are many. It decides about no bits.
+GROUPS_OF_BLOCK = ((160.0, 4), (600.0, 2))
 # Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
 THINNEST_SLAB = 32
 # Longer lists than this, on average, cost more than one search a voxel (see bench/decisions/0012-search-or-cells.md).
@@ -158,7 +157,7 @@ def split_length_for(triangles: int, depth: int, cells: int) -> int:
 
 
 def groups_of_block(blocks: int, length: float) -> int:
-    """Groups of lanes of a GPU for each of so many blocks, of cells whose lists have `length` triangles."""
+    """Most groups of lanes of a GPU for each of so many blocks, of cells whose lists have `length` triangles."""
     groups, most = 1, next((most for limit, most in GROUPS_OF_BLOCK if length <= limit), 1)
     while groups < most and 2 * groups * blocks <= BUSY:
         groups *= 2

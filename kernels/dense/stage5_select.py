@@ -39,6 +39,7 @@ from sdm.kernels.dense.block_schedule import (
     BY_GROUPS,
     BlockSchedule,
     cell_of,
+    groups_at_work,
     split_of,
     splits_of,
     whole_block,
@@ -267,7 +268,7 @@ def _select_features_kernel(of_groups: Any, module: str | None = None) -> Any:
         lane = thread % lanes
         bricks = 8 * schedule.counters[COARSE]
         total = bricks + whole_blocks(schedule)
-        groups = of_groups(blocks.shares)
+        groups = groups_at_work(of_groups(blocks.shares), total)
         stack = stack_of(stacks, thread / lanes)
         item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
         while item < total * groups:

@@ -40,7 +40,7 @@ from sdm.kernels.dense.block.winners import (
     note_feature,
     worker_scratch,
 )
-from sdm.kernels.dense.block_schedule import BY_GROUPS, BlockSchedule, whole_blocks
+from sdm.kernels.dense.block_schedule import BY_GROUPS, BlockSchedule, groups_at_work, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import (
     CandidateLists,
@@ -217,17 +217,22 @@ def measure_scheduled(
     scratch: wp.array(dtype=wp.float32),
     stacks: wp.array(dtype=wp.int32),
     out: Output,
-    parts: int,
-    shares: int,
+    most_parts: int,
+    most_shares: int,
     winners: Any,
 ):
-    """Measure one block after the other, as long as there are any: each in so many `parts`, from a list of `shares`."""
+    """Measure one block after the other, as long as there are any: up to so many parts, from lists of up to so many."""
     lane = thread % lanes
     worker = thread / lanes
     bricks = 8 * schedule.counters[COARSE]
     # Cells of more voxels than a block are measured brick by brick.
     times = wp.where(grid.cell > BLOCK, 8, 1)
-    total = parts * (bricks + times * whole_blocks(schedule))
+    lists = bricks + whole_blocks(schedule)
+    boxes = bricks + times * whole_blocks(schedule)
+    # As when the lists were made.
+    shares = groups_at_work(most_shares, lists)
+    parts = groups_at_work(most_parts, boxes)
+    total = parts * boxes
     item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
     while item < total:
         listed = item / parts

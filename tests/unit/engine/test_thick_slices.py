@@ -67,7 +67,7 @@ def test_none_where_all_is_searched():
 def grid_of(axis: int, turn: np.ndarray) -> sdm.Grid:
     """45 voxels and 9 or so slices through a mesh of size 2, off its middle."""
     spacing, shape = np.full(3, 0.05), np.full(3, 45)
-    spacing[axis], shape[axis] = 0.23, 9
+    spacing[axis], shape[axis] = 0.3, 9
     return sdm.Grid([0.03, -0.02, 0.011] - turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
 
 
