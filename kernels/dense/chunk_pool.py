@@ -135,7 +135,7 @@ def read_entry(pool: ChunkPool, reader: Reader, lane: int):
 
 @wp.func
 def read_on(pool: ChunkPool, lists: CandidateLists, reader: Reader, lanes: int):
-    """The place after the lanes' entries."""
+    """The place after the lanes' entries, or after so many of a chunk."""
     reader.at = reader.at + lanes
     if reader.at >= wp.min(reader.left, ROOM):
         reader.left = reader.left - wp.min(reader.left, ROOM)
@@ -145,3 +145,17 @@ def read_on(pool: ChunkPool, lists: CandidateLists, reader: Reader, lanes: int):
         else:
             reader = next_chain(lists, reader)
     return reader
+
+
+@wp.func
+def read_batch(pool: ChunkPool, lists: CandidateLists, reader: Reader, lane: int, lanes: int):
+    """A lane's entry, or -1, the number of all lanes' entries, and the place after them: of several chains if short."""
+    entry = int(-1)
+    filled = int(0)
+    while filled < lanes and reader.left > 0:
+        taken = wp.min(wp.min(reader.left, ROOM) - reader.at, lanes - filled)
+        if lane >= filled and lane < filled + taken:
+            entry = pool.entries[reader.chunk * CHUNK + reader.at + lane - filled]
+        filled = filled + taken
+        reader = read_on(pool, lists, reader, taken)
+    return entry, filled, reader

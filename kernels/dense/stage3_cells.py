@@ -22,8 +22,7 @@ from sdm.kernels.dense.chunk_pool import (
     Reader,
     append,
     list_length,
-    read_entry,
-    read_on,
+    read_batch,
     start_reading,
 )
 from sdm.kernels.dense.counters import NEXT_CELL
@@ -86,11 +85,10 @@ def _list_cells_kernel(of_faces: Any, of_grid: Any) -> Any:
                     reader = start_reading(regions, first, chains)
                     chain.chunk = head
                 # Each batch is read while the one before is tested.
-                upcoming = read_entry(pool, reader, lane)
-                while reader.left > 0 and chain.chunk < pool.chunks:
+                upcoming, ahead, reader = read_batch(pool, regions, reader, lane, lanes)
+                while ahead > 0 and chain.chunk < pool.chunks:
                     leaf = upcoming
-                    reader = read_on(pool, regions, reader, lanes)
-                    upcoming = read_entry(pool, reader, lane)
+                    upcoming, ahead, reader = read_batch(pool, regions, reader, lane, lanes)
                     # Read once, for both that follows.
                     low = wp.vec3()
                     high = wp.vec3()
