@@ -199,7 +199,8 @@ def run_stages(
     # On a GPU they are in shared memory.
     stacks = empty(1 if gpu else workers(1) * STACK, wp.int32)
     scratch = empty(1 if gpu else workers(1) * scratch_rows(out.winners.shape[0] > 0) * 4, wp.float32)
-    merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
+    # Few cells have lists that are cut: a lane for each four voxels.
+    merge_threads = workers(SPLIT_BLOCKS_PER_SM, 2 * plan.most * plan.cell**3 // GPU_LANES) * lanes
     set_array(out, "missed", work.missed)
     for first in range(plan.passes):
         if first > 0 or begun is None:
