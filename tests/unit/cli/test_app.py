@@ -123,7 +123,7 @@ def test_wrong_arguments_are_one_sentence(words, expected, capsys):
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
 def test_wrong_arguments_whatever_the_terminal_shows(encoding):
-    program = [sys.executable, "-m", "sdm.cli", "compute", "a.stl", "-o", "x.npz", "--margin", "wide"]
+    program = [sys.executable, "-m", "sdm", "compute", "a.stl", "-o", "x.npz", "--margin", "wide"]
     done = subprocess.run(
         program, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONIOENCODING": encoding}
     )
@@ -197,7 +197,7 @@ def test_exit_codes_of_commands(monkeypatch):
 
 def test_the_program_and_the_module(tmp_path):
     program = Path(sysconfig.get_path("scripts")) / "sdm"
-    for start in ([program], [sys.executable, "-m", "sdm.cli"]):
+    for start in ([program], [sys.executable, "-m", "sdm"]):
         done = subprocess.run([*start, "inspect", tmp_path / "no.stl"], capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
@@ -208,7 +208,7 @@ def test_an_interrupt_before_the_program_is_read():
     """As Ctrl+C in the first hundredths of a second, while the parser is imported: a line, and no traceback."""
     early = "class Early:\n def find_spec(self, name, *_):\n  if name == 'tyro': raise KeyboardInterrupt"
     code = f"import sys\n{early}\nsys.meta_path.insert(0, Early())\n"
-    by_module = "import runpy; runpy.run_module('sdm.cli', None, '__main__')"
+    by_module = "import runpy; runpy.run_module('sdm', None, '__main__')"
     for start in ("from sdm.cli import main; sys.exit(main())", by_module):
         done = subprocess.run([sys.executable, "-c", code + start], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (130, "sdm: interrupted\n")
@@ -258,7 +258,7 @@ def test_warnings_of_the_library_are_a_line(monkeypatch, capsys):
 def test_a_kernel_cache_that_cannot_be_written(tmp_path):
     mesh = tmp_path / "one.off"
     mesh.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
-    program = f'"{sys.executable}" -m sdm.cli compute {mesh} -o {tmp_path}/x.npz --resolution 2 --device cpu'
+    program = f'"{sys.executable}" -m sdm compute {mesh} -o {tmp_path}/x.npz --resolution 2 --device cpu'
     done = bash(program, WARP_CACHE_PATH="/dev/null")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

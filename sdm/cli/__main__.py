@@ -1,7 +1,0 @@
-"""`python -m sdm.cli`, the same as the command `sdm`."""
-
-import sys
-
-from sdm.cli import main
-
-sys.exit(main())
