@@ -24,7 +24,8 @@ import tyro
 
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
-from sdm.dataset.layout import file_of, write_shard
+from sdm.dataset.shard_paths import file_of
+from sdm.dataset.shard_writer import write_shard
 from sdm.dataset.writer import generate
 from sdm.shapes import Cochlea
 

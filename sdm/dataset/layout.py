@@ -18,7 +18,6 @@ import hashlib
 import json
 import shutil
 import tempfile
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +25,18 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
-from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
-from sdm.dataset.shard_file import blocksize_of, maps_content, rows_content
+from sdm.dataset.manifest import KEY, sealed
+from sdm.dataset.shard_file import blocksize_of
+from sdm.dataset.shard_paths import checksum_file, files_of
+from sdm.dataset.versions import WITH_CHECKSUMS
 from sdm.errors import FormatError
 from sdm.io.files.atomic import own_name, put
-from sdm.io.files.direct_file import DirectFile
 from sdm.io.files.stand_in import bring
 
 UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.
 SHARD_BYTES = 1 << 28
 DIGEST = 32
-# Of each array.
-DTYPES = {"theta": "float32", "transform": "float64"}
-AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
 
 
 def part_of(path: Path) -> Path:
@@ -164,32 +161,6 @@ def shard_count(manifest: dict[str, Any]) -> int:
     return -(-manifest["count"] // manifest["shard"])
 
 
-def rows_of(manifest: dict[str, Any], number: int) -> tuple[int, int]:
-    """First sample of a shard, and the one after its last."""
-    begin = number * manifest["shard"]
-    return begin, min(begin + manifest["shard"], manifest["count"])
-
-
-def files_of(folder: Path, manifest: dict[str, Any], number: int) -> list[Path]:
-    """The files of a shard, the maps last."""
-    return [file_of(folder, name, number) for name in arrays_of(manifest)]
-
-
-def arrays_of(manifest: dict[str, Any]) -> tuple[str, ...]:
-    """The arrays whose files a shard has."""
-    return ("theta", "transform", "sdm") if manifest["transforms"] else ("theta", "sdm")
-
-
-def file_of(folder: Path, name: str, number: int) -> Path:
-    """File of a shard's part of an array."""
-    return (folder / name / "c" / str(number)).joinpath(*["0"] * (AXES[name] - 1))
-
-
-def checksum_file(folder: Path, number: int) -> Path:
-    """File of a shard's checksum, 32 bytes."""
-    return file_of(folder, "sha256", number)
-
-
 def is_done(folder: Path, manifest: dict[str, Any], number: int) -> bool:
     """True if a shard was finished: a matter of names and sizes, not of what is in it."""
     mark = checksum_file(folder, number)
@@ -216,43 +187,3 @@ def checksum(folder: Path, manifest: dict[str, Any], number: int) -> bytes:
             while block := file.read(1 << 20):
                 digest.update(block)
     return digest.digest()
-
-
-def write_shard(
-    folder: Path,
-    manifest: dict[str, Any],
-    number: int,
-    theta: np.ndarray,
-    transform: np.ndarray | None,
-    maps: np.ndarray,
-    scratch: Path,
-    pool: Executor,
-) -> None:
-    """Write a shard: each file whole or not at all, its checksum last.
-
-    Args:
-        folder: The dataset.
-        manifest: Its manifest.
-        number: Which shard.
-        theta: (n,P) parameters.
-        transform: (n,4,4), for families that place meshes.
-        maps: (n,nx,ny,nz) in the dataset's type.
-        scratch: A folder on the same disk that nobody else uses.
-        pool: Threads that compress.
-    """
-    files = dict(zip(arrays_of(manifest), files_of(folder, manifest, number), strict=True))
-    rows = {"theta": theta} if transform is None else {"theta": theta, "transform": transform}
-    digest = hashlib.sha256()
-    for name, values in rows.items():
-        content = rows_content(values, manifest, DTYPES[name])
-        digest.update(content)
-        put(files[name], content)
-    # Under another name until it is whole; its file then takes its place in the dataset.
-    part = scratch / str(number)
-    with DirectFile(part, maps.nbytes) as file:
-        for pieces in maps_content(maps, manifest, pool):
-            for piece in pieces:
-                digest.update(piece)
-            file.write_all(pieces)
-    put(files["sdm"], part)
-    put(checksum_file(folder, number), digest.digest())

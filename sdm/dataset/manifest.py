@@ -10,15 +10,10 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from sdm.core.grid import Grid
+from sdm.dataset.versions import VERSION, WITH_CHECKSUMS
 from sdm.errors import FormatError, GridError
 from sdm.stream.sample_maker import DRAWS, FIRST_DRAWS, FIRST_SIGN
 
-VERSION = 3
-# From this version on, the manifest has a checksum of itself, and every array but the shards' own checksums one of each
-# chunk.
-WITH_CHECKSUMS = 2
-# From this version on, maps are compressed in larger blocks: fewer bytes, in two thirds of the time and read in half.
-LARGE_BLOCKS = 3
 KEY = "sdm"
 CHECKSUM = "crc32"
 COMPRESSIONS = ("zstd", "none")

@@ -16,6 +16,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.dataset import layout
 from sdm.dataset.manifest import read_manifest
+from sdm.dataset.shard_paths import file_of, rows_of
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import place_of
@@ -107,9 +108,9 @@ class SDMDataset(Dataset[Batch]):
         mend = "sdm generate --verify makes it again"
         for number in shards:
             # A file that is gone reads as zeros, and a pose or a parameter may be zero.
-            if not layout.file_of(self.path, name, number).is_file():
+            if not file_of(self.path, name, number).is_file():
                 raise FormatError(f"{name} of shard {number} of {self.path} is gone: {mend}")
-        begin, end = layout.rows_of(self.manifest, shards[0])[0], layout.rows_of(self.manifest, shards[-1])[1]
+        begin, end = rows_of(self.manifest, shards[0])[0], rows_of(self.manifest, shards[-1])[1]
         try:
             return np.asarray(self._open(name)[begin:end])
         except FormatError:

@@ -11,6 +11,7 @@ from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_job import Job
+from sdm.dataset.shard_paths import rows_of
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
 from sdm.io.files.lock import alone
@@ -37,7 +38,7 @@ def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None
         if not layout.is_sound(folder, manifest, number):
             found.append(number)
         if progress is not None:
-            progress(layout.rows_of(manifest, number)[1], manifest["count"])
+            progress(rows_of(manifest, number)[1], manifest["count"])
     return found
 
 

@@ -16,7 +16,7 @@ import google_crc32c
 import numpy as np
 
 from sdm.dataset.compressor import MOST_MORE, Compressor
-from sdm.dataset.manifest import LARGE_BLOCKS, WITH_CHECKSUMS
+from sdm.dataset.versions import LARGE_BLOCKS, WITH_CHECKSUMS
 
 # In the index, of a chunk that is not there.
 ABSENT = (1 << 64) - 1

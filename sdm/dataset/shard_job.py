@@ -7,18 +7,20 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from operator import length_hint
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.dataset.layout import rows_of, write_shard
+from sdm.dataset.layout import shard_count
 from sdm.dataset.manifest import KEY, sealed
+from sdm.dataset.shard_paths import rows_of
+from sdm.dataset.shard_stage import Shard, ShardWriters, shard_writers
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.atomic import put
@@ -27,26 +29,10 @@ from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.outcome import Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
-from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.runtime.prefetch import prefetch
 from sdm.runtime.sharing.folder_job import ShardTold, this_process
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
-
-# Shards that are compressed and written at a time; each is 256 MiB of memory, if nobody says otherwise. A thread
-# takes 0.5 to 1 ms for the SHA-256 of a megabyte.
-WRITERS = 6
-# Shards of a GPU that are made while all writers are busy, so that none of them waits for the next one.
-READY = 2
-
-
-class _Shard(NamedTuple):
-    """A shard on its way to the disk: the number, parameters (n,P), transforms (n,4,4), maps (n,nx,ny,nz)."""
-
-    number: int
-    theta: np.ndarray
-    transform: np.ndarray | None
-    maps: HostRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,24 +116,28 @@ class Job:
         times = StageTimes() if times is None else times
         adopt(self.stand_ins)
         scratch = self.folder / f".{os.getpid()}-{secrets.token_hex(4)}.part"
-        threads = threads_beside(maker.device)
-        writers = min(threads, WRITERS)
+        # Of an iterator nobody knows; then there are many.
+        count = length_hint(shards, shard_count(self.manifest))
+        local = not self.stand_ins
         try:
             scratch.mkdir()
-            with ThreadPoolExecutor(threads, thread_name_prefix="sdm-compress") as pool:
+            with ExitStack() as stack:
+                how = shard_writers(self.folder, self.manifest, scratch, maker.device, shards=count, local=local)
+                writers = stack.enter_context(how)
                 made = one_by_one(
-                    numbered(shards), str(maker.device), lambda number: self._make(number, maker), times=times
+                    numbered(shards), str(maker.device), lambda number: self._make(number, maker, writers), times=times
                 )
                 written = in_threads(
                     made,
                     "write",
-                    lambda shard: self._write(shard, scratch, pool),
-                    workers=writers,
-                    most_held=writers + (READY if maker.device.type == "cuda" else 0),
+                    lambda shard: self._write(shard, writers),
+                    workers=writers.count,
+                    most_held=writers.held,
                     times=times,
                     prompt=True,
                 )
-                for outcome in written:
+                # Nobody writes any more when writers end.
+                for outcome in stack.enter_context(closing(written)):
                     if isinstance(outcome, Failed):
                         raise outcome.error
                     done(ShardTold(outcome.value, [], this_process(), times.told()))
@@ -157,19 +147,20 @@ class Job:
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
 
-    def _write(self, shard: _Shard, scratch: Path, pool: Executor) -> int:
-        maps = shard.maps.wait()
-        write_shard(self.folder, self.manifest, shard.number, shard.theta, shard.transform, maps, scratch, pool)
+    def _write(self, shard: Shard, writers: ShardWriters) -> int:
+        writers.write(shard)
         return shard.number
 
-    def _make(self, number: int, maker: Maker) -> _Shard:
+    def _make(self, number: int, maker: Maker, writers: ShardWriters) -> Shard:
         begin, end = rows_of(self.manifest, number)
         theta = maker.theta(_numbers(begin, end))
-        maps = HostRows((end - begin, *self.grid.shape), self.dtype, maker.device)
+        memory = writers.memory()
+        room = None if memory is None else memory.content
+        maps = HostRows((end - begin, *self.grid.shape), self.dtype, maker.device, memory=room)
         for first, batch in self._batches(begin, theta, maker):
             maps.put(first - begin, batch.sdm[:, 0])
         transform = self.family.sample_transforms(theta)
-        return _Shard(number, theta.numpy(), None if transform is None else transform.numpy(), maps)
+        return Shard(number, theta.numpy(), None if transform is None else transform.numpy(), maps, memory)
 
     def _batches(self, begin: int, theta: Tensor, maker: Maker) -> Iterator[tuple[int, Batch]]:
         size, end = maker.at_once, begin + len(theta)

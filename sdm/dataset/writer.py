@@ -12,8 +12,10 @@ import torch
 from sdm.core.as_grid import GridLike
 from sdm.core.grid import Grid
 from sdm.dataset import layout
-from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest, require_draws
+from sdm.dataset.manifest import COMPRESSIONS, read_manifest, require_draws
 from sdm.dataset.shard_job import Job
+from sdm.dataset.shard_paths import rows_of
+from sdm.dataset.versions import VERSION
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
@@ -212,7 +214,7 @@ def remake(
     processes: list[str] | None = None,
 ) -> None:
     """Make these shards, whatever is there."""
-    rows = [end - begin for begin, end in (layout.rows_of(job.manifest, n) for n in shards)]
+    rows = [end - begin for begin, end in (rows_of(job.manifest, n) for n in shards)]
     sizes = dict(zip(shards, rows, strict=True))
     total = job.manifest["count"]
     written = total - sum(rows)

@@ -5,11 +5,32 @@ superior (RAS+) by its standard; an NRRD file is written with the same numbers i
 mesh in another space (LPS, as some medical software exports) has to be turned before it meets such an image.
 """
 
-from sdm.io.maps.formats import FORMATS, check_target
-from sdm.io.maps.save_and_load import grid_like, load, load_band, save, write_streamed
-from sdm.io.meshes.load import load_mesh, mesh_files
-from sdm.io.meshes.mesh_tree import mesh_tree
-from sdm.io.meshes.write import save_mesh
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sdm.io.maps.formats import FORMATS, check_target
+    from sdm.io.maps.save_and_load import grid_like, load, load_band, save, write_streamed
+    from sdm.io.meshes.load import load_mesh, mesh_files
+    from sdm.io.meshes.mesh_tree import mesh_tree
+    from sdm.io.meshes.write import save_mesh
+
+# Where each name comes from. A name is imported when it is first used: processes that only write wait for no torch.
+_HOMES = {
+    "FORMATS": "maps.formats",
+    "check_target": "maps.formats",
+    "grid_like": "maps.save_and_load",
+    "load": "maps.save_and_load",
+    "load_band": "maps.save_and_load",
+    "load_mesh": "meshes.load",
+    "mesh_files": "meshes.load",
+    "mesh_tree": "meshes.mesh_tree",
+    "save": "maps.save_and_load",
+    "save_mesh": "meshes.write",
+    "write_streamed": "maps.save_and_load",
+}
 
 __all__ = [
     "FORMATS",
@@ -24,3 +45,11 @@ __all__ = [
     "save_mesh",
     "write_streamed",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sdm.io' has no attribute {name!r}")
+    value = getattr(import_module(f"sdm.io.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -89,11 +91,18 @@ class HostRows:
         shape: Of all rows together.
         dtype: Their type.
         device: Where they come from. From a GPU they are copied into pinned memory by a stream of its own.
+        memory: (n,) bytes to begin them in, `pinned` for a GPU; fresh ones by default.
     """
 
-    def __init__(self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device, *, memory: np.ndarray | None = None
+    ) -> None:
         self._gpu = device if device.type == "cuda" else None
-        self._rows = torch.empty(shape, dtype=dtype, device="cpu", pin_memory=self._gpu is not None)
+        if memory is None:
+            self._rows = torch.empty(shape, dtype=dtype, device="cpu", pin_memory=self._gpu is not None)
+        else:
+            size = math.prod(shape) * dtype.itemsize
+            self._rows = torch.from_numpy(memory[:size]).view(dtype).view(shape)
         self._done: torch.cuda.Event | None = None
 
     def put(self, begin: int, values: Tensor) -> None:
@@ -120,3 +129,20 @@ class HostRows:
 @cache
 def _copy_stream(device: torch.device) -> torch.cuda.Stream:
     return torch.cuda.Stream(device)
+
+
+@contextmanager
+def pinned(memory: np.ndarray, device: torch.device) -> Iterator[None]:
+    """While the block runs, bytes (n,) of the host are where a GPU copies to by itself.
+
+    Raises:
+        RuntimeError: CUDA cannot pin so much.
+    """
+    cuda: Any = torch.cuda.cudart()
+    torch.cuda.check_error(cuda.cudaHostRegister(memory.ctypes.data, memory.nbytes, 0))
+    try:
+        yield
+    finally:
+        # A copy of work that was cut off may be on its way.
+        _copy_stream(device).synchronize()
+        torch.cuda.check_error(cuda.cudaHostUnregister(memory.ctypes.data))

@@ -10,7 +10,7 @@ stage cannot do is passed on as `Failed`, and the others go on.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import TypeVar
@@ -41,7 +41,7 @@ def in_threads(
     nbytes: Callable[[A], int] | None = None,
     prompt: bool = False,
     single: bool = False,
-) -> Iterator[Done[B] | Failed]:
+) -> Generator[Done[B] | Failed, None, None]:
     """A stage in threads of its own; results in the order of the items.
 
     Args:
@@ -75,7 +75,7 @@ def _in_threads(
     nbytes: Callable[[A], int] | None,
     prompt: bool,
     single: bool,
-) -> Iterator[Done[B] | Failed]:
+) -> Generator[Done[B] | Failed, None, None]:
     held: deque[tuple[int, Future[B] | Failed, int]] = deque()
     used, source, more = 0, iter(outcomes), True
 

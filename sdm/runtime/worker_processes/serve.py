@@ -1,0 +1,36 @@
+"""What a worker process does: calls of one function, until the process that started it is gone."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Callable
+from importlib import import_module
+from multiprocessing.connection import Connection
+from typing import Any
+
+
+def serve(link: Connection) -> None:
+    """Take the name of a function (`module:function`), then its arguments again and again, and answer each."""
+    told: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(link, told), daemon=True).start()
+    module, _, name = told.get().partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    while True:
+        given = told.get()
+        try:
+            answer = None, function(*given)
+        # Whoever asked raises it.
+        except Exception as error:  # noqa: BLE001
+            answer = error, None
+        link.send(answer)
+
+
+def _listen(link: Connection, told: queue.SimpleQueue[Any]) -> None:
+    try:
+        while True:
+            told.put(link.recv())
+    except (EOFError, OSError):
+        # The process that started this one has no more for it, or was killed: it must not write beside a restart.
+        os._exit(0)
