@@ -24,7 +24,7 @@ from sdm.dataset.shard_stage import Shard, ShardWriters, shard_writers
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.atomic import put
-from sdm.io.files.stand_in import StandIn, adopt
+from sdm.io.files.stand_in import StandIn, address_of, adopt
 from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.outcome import Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -118,7 +118,7 @@ class Job:
         scratch = self.folder / f".{os.getpid()}-{secrets.token_hex(4)}.part"
         # Of an iterator nobody knows; then there are many.
         count = length_hint(shards, shard_count(self.manifest))
-        local = not self.stand_ins
+        local = address_of(self.folder) is None
         try:
             scratch.mkdir()
             with ExitStack() as stack:

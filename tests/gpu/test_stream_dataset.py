@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.dataset import SDMDataset, damaged, generate, verify
-from sdm.dataset import shard_job as job_module
+from sdm.dataset import SDMDataset, damaged, generate, shard_stage, verify
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 
@@ -32,14 +31,14 @@ def test_holds_what_the_stream_yields(tmp_path, dtype):
 
 def test_is_finished_and_mended_to_the_same_bits(tmp_path, monkeypatch):
     whole = generate(FAMILY, GRID, COUNT, tmp_path / "whole.zarr", shard=8, device="cuda")
-    real = job_module.write_shard
+    real = shard_stage.write_shard
 
     def stop_at_2(*args):
         if args[2] == 2:
             raise KeyboardInterrupt
         real(*args)
 
-    monkeypatch.setattr(job_module, "write_shard", stop_at_2)
+    monkeypatch.setattr(shard_stage, "write_shard", stop_at_2)
     with pytest.raises(KeyboardInterrupt):
         generate(FAMILY, GRID, COUNT, tmp_path / "d.zarr", shard=8, device="cuda")
     monkeypatch.undo()

@@ -82,7 +82,7 @@ class WorkerProcesses:
             error, value = worker.link.recv()
         except (EOFError, OSError):
             code = worker.process.wait()
-            raise SDMError(f"a process that writes died (exit code {code}); --resume goes on from there") from None
+            raise SDMError(f"a worker process died (exit code {code}); --resume goes on from there") from None
         finally:
             self._idle.put(worker)
         if error is not None:
@@ -105,7 +105,8 @@ class WorkerProcesses:
 def _started(handles: Sequence[int]) -> _Worker:
     ours, theirs = socket.socketpair()
     with theirs:
-        process = subprocess.Popen(
+        # Nothing but our own words.
+        process = subprocess.Popen(  # noqa: S603
             [sys.executable, "-c", BEGIN, str(theirs.fileno())],
             stdin=subprocess.DEVNULL,
             env={**os.environ, **ALONE},

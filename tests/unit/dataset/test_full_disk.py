@@ -5,10 +5,11 @@ from __future__ import annotations
 import filecmp
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.helpers import generate_command
 
 # In namespaces of its own any user may mount a small disk, which goes with the last process.
 PRIVATE = ["unshare", "--user", "--map-root-user", "--mount"]
@@ -25,12 +26,13 @@ cp -r disk/d.zarr kept.zarr
 
 
 @pytest.mark.slow
-def test_a_full_disk(tmp_path):
+@pytest.mark.parametrize("way", generate_command.WAYS)
+def test_a_full_disk(tmp_path, way):
     if shutil.which("unshare") is None or subprocess.call([*PRIVATE, "true"], stderr=subprocess.DEVNULL):
         pytest.skip("this system does not let its users mount a disk of their own")
     (tmp_path / "disk").mkdir()
     options = ["--count", "40", "--resolution", "32", "--triangles", "600", "--shard", "2", "--device", "cpu"]
-    command = [sys.executable, "-m", "sdm.cli", "generate", "cochlea", *options]
+    command = [*generate_command.words(way), "cochlea", *options]
     run = subprocess.run(
         [*PRIVATE, "sh", "-c", SCENE, "sh", *command],
         check=False,

@@ -17,6 +17,7 @@ from sdm.cli.app import main
 from sdm.core.demo_mesh import demo_mesh
 from sdm.dataset import SDMDataset, damaged, generate, layout, verify
 from sdm.dataset.manifest import CHECKSUM, KEY, read_manifest, sealed
+from sdm.dataset.shard_paths import file_of
 from sdm.errors import FormatError
 from sdm.shapes import Cochlea, MeshFolder
 
@@ -149,7 +150,7 @@ def test_a_count_that_is_not_true(copy, count, capsys):
 
 @pytest.mark.parametrize("bit", [0, 5, 7])
 def test_flipped_bits_of_parameters(copy, bit):
-    path = layout.file_of(copy, "theta", 1)
+    path = file_of(copy, "theta", 1)
     content = bytearray(path.read_bytes())
     content[3] ^= 1 << bit
     path.write_bytes(content)
@@ -188,7 +189,7 @@ def test_flipped_bits_of_transforms(tmp_path):
     path = generate(family, family.grid(6), 3, tmp_path / "d.zarr", shard=2, device="cpu")
     data = SDMDataset(path)
     matrix = data.inverse_transform(2)
-    part = layout.file_of(path, "transform", 1)
+    part = file_of(path, "transform", 1)
     content = bytearray(part.read_bytes())
     content[6] ^= 1
     part.write_bytes(content)
@@ -203,7 +204,7 @@ def test_samples_of_other_random_numbers_are_not_mixed_in(whole, copy, old, caps
     edit(copy, lambda manifest: manifest["recipe"].pop("draws") if old else manifest["recipe"].update(draws=3))
     np.testing.assert_array_equal(SDMDataset(copy).theta, SDMDataset(whole).theta)
     assert verify(copy, FAMILY, device="cpu") == []
-    layout.file_of(copy, "sdm", 1).unlink()
+    file_of(copy, "sdm", 1).unlink()
     with pytest.raises(FormatError, match=f"version {1 if old else 3} of the random numbers"):
         verify(copy, FAMILY, device="cpu")
     with pytest.raises(FormatError, match=f"version {1 if old else 3} of the random numbers"):
@@ -213,7 +214,7 @@ def test_samples_of_other_random_numbers_are_not_mixed_in(whole, copy, old, caps
     assert main(["generate", "--resume", "-o", str(copy), "--device", "cpu"]) == 2
     said = capsys.readouterr().err.splitlines()
     assert sum("of the random numbers" in line for line in said) == 2
-    assert not layout.file_of(layout.part_of(copy), "sdm", 1).exists()
+    assert not file_of(layout.part_of(copy), "sdm", 1).exists()
 
 
 def test_datasets_of_version_1_are_read_and_finished(whole, tmp_path, monkeypatch):
@@ -221,14 +222,14 @@ def test_datasets_of_version_1_are_read_and_finished(whole, tmp_path, monkeypatc
     monkeypatch.setattr("sdm.dataset.writer.VERSION", 1)
     old = write(tmp_path / "d.zarr")
     monkeypatch.undo()
-    assert layout.file_of(old, "theta", 0).stat().st_size == 3 * 4 * len(FAMILY.parameters)
+    assert file_of(old, "theta", 0).stat().st_size == 3 * 4 * len(FAMILY.parameters)
     assert CHECKSUM not in json.loads((old / "zarr.json").read_text())["attributes"][KEY]
     expected, found = SDMDataset(whole), SDMDataset(old)
     np.testing.assert_array_equal(found.theta, expected.theta)
     assert torch.equal(found[4].sdm, expected[4].sdm)
-    before = layout.file_of(old, "theta", 1).read_bytes()
+    before = file_of(old, "theta", 1).read_bytes()
     old.rename(layout.part_of(old))
-    layout.file_of(layout.part_of(old), "theta", 1).unlink()
+    file_of(layout.part_of(old), "theta", 1).unlink()
     assert layout.mend_arrays(layout.part_of(old), read_manifest(layout.part_of(old))) == []
     write(old, resume=True)
-    assert layout.file_of(old, "theta", 1).read_bytes() == before
+    assert file_of(old, "theta", 1).read_bytes() == before

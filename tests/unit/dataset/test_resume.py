@@ -10,7 +10,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,14 +18,15 @@ import torch
 import zarr
 
 from sdm.core.demo_mesh import demo_mesh
-from sdm.dataset import SDMDataset, damaged, generate, layout, verify
-from sdm.dataset import shard_job as job_module
+from sdm.dataset import SDMDataset, damaged, generate, layout, shard_stage, shard_writer, verify
 from sdm.dataset.manifest import read_manifest
 from sdm.dataset.repair import mend_arrays
+from sdm.dataset.shard_paths import file_of
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.shapes import Cochlea, MeshFolder
+from tests.helpers import generate_command
 
 FAMILY = Cochlea(600)
 GRID = FAMILY.grid(10)
@@ -66,9 +66,9 @@ def test_a_stopped_one_is_finished_to_the_same_bytes(whole, tmp_path, monkeypatc
         count += 1
         if count > after:
             raise Stop
-        layout.write_shard(*args, **kwargs)
+        shard_writer.write_shard(*args, **kwargs)
 
-    monkeypatch.setattr(job_module, "write_shard", fail)
+    monkeypatch.setattr(shard_stage, "write_shard", fail)
     with pytest.raises(Stop):
         write(target)
     assert not target.exists()
@@ -93,7 +93,7 @@ def test_a_dataset_of_version_2_is_finished_in_its_own_blocks(tmp_path, monkeypa
     before = contents(old)
     monkeypatch.undo()
     now = generate(FAMILY, path=tmp_path / "now.zarr", device="cpu", shard=2, **options)
-    file = layout.file_of(Path("."), "sdm", 1)
+    file = file_of(Path("."), "sdm", 1)
     assert (now / file).stat().st_size < (old / file).stat().st_size
     old.rename(layout.part_of(old))
     (layout.part_of(old) / file).unlink()
@@ -105,7 +105,7 @@ def test_a_dataset_of_version_2_is_finished_in_its_own_blocks(tmp_path, monkeypa
 
 def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
     target = tmp_path / "d.zarr"
-    real, calls = layout.put, []
+    real, calls = shard_writer.put, []
 
     def full(path, content):
         calls.append(path)
@@ -113,7 +113,7 @@ def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         real(path, content)
 
-    monkeypatch.setattr(layout, "put", full)
+    monkeypatch.setattr(shard_writer, "put", full)
     with pytest.raises(FormatError, match="No space left on device; --resume"):
         write(target)
     monkeypatch.undo()
@@ -126,9 +126,10 @@ def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_kill_9_at_any_moment_loses_only_what_is_in_flight(tmp_path):
+@pytest.mark.parametrize("way", generate_command.WAYS)
+def test_kill_9_at_any_moment_loses_only_what_is_in_flight(tmp_path, way):
     options = ["--count", "40", "--resolution", "24", "--triangles", "600", "--shard", "2", "--device", "cpu"]
-    command = [sys.executable, "-m", "sdm.cli", "generate", "cochlea", *options, "-o"]
+    command = [*generate_command.words(way), "cochlea", *options, "-o"]
     expected = tmp_path / "expected.zarr"
     subprocess.run([*command, str(expected)], check=True, capture_output=True)
     target = tmp_path / "d.zarr"
@@ -147,9 +148,7 @@ def test_kill_9_at_any_moment_loses_only_what_is_in_flight(tmp_path):
         assert len(list(part.glob("sha256/c/*/0"))) >= have + 3 or target.exists()
     assert kills
     # Neither family nor options are needed: the dataset knows.
-    subprocess.run(
-        [sys.executable, "-m", "sdm.cli", "generate", "--resume", "-o", str(target)], check=True, capture_output=True
-    )
+    subprocess.run([*generate_command.words(way), "--resume", "-o", str(target)], check=True, capture_output=True)
     assert contents(target) == contents(expected)
 
 

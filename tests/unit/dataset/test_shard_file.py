@@ -7,8 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from sdm.dataset import layout
+from sdm.dataset import layout, shard_paths
 from sdm.dataset.shard_file import maps_content, rows_content
+from sdm.dataset.shard_writer import DTYPES
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -33,7 +34,7 @@ def test_bytes_are_those_of_zarr(rows, dtype, compression, version, direct, tmp_
         "compression": compression,
     }
     layout._sdm_array(tmp_path / "sdm", rows, maps.shape[1:], manifest)[:] = maps
-    expected = layout.file_of(tmp_path, "sdm", 0).read_bytes()
+    expected = shard_paths.file_of(tmp_path, "sdm", 0).read_bytes()
     for threads in (1, 3):
         with ThreadPoolExecutor(threads) as pool:
             found = b"".join(bytes(piece) for some in maps_content(maps, manifest, pool) for piece in some)
@@ -44,9 +45,9 @@ def test_bytes_are_those_of_zarr(rows, dtype, compression, version, direct, tmp_
 def test_rows_of_numbers_too(version, tmp_path):
     manifest = {"version": version, "shard": 5}
     for name, shape in (("theta", (3, 4)), ("transform", (5, 4, 4))):
-        values = np.random.default_rng(1).normal(size=shape).astype(layout.DTYPES[name])
+        values = np.random.default_rng(1).normal(size=shape).astype(DTYPES[name])
         padded = np.zeros((5, *shape[1:]), values.dtype)
         padded[: len(values)] = values
-        layout._rows_array(tmp_path / name, padded.shape, layout.DTYPES[name], manifest)[:] = padded
-        expected = layout.file_of(tmp_path, name, 0).read_bytes()
-        assert rows_content(values, manifest, layout.DTYPES[name]) == expected
+        layout._rows_array(tmp_path / name, padded.shape, DTYPES[name], manifest)[:] = padded
+        expected = shard_paths.file_of(tmp_path, name, 0).read_bytes()
+        assert rows_content(values, manifest, DTYPES[name]) == expected

@@ -11,8 +11,7 @@ import torch
 from sdm.cli import main
 from sdm.cli.common.progress import CountProgress
 from sdm.core.demo_mesh import demo_mesh
-from sdm.dataset import SDMDataset
-from sdm.dataset import shard_job as job_module
+from sdm.dataset import SDMDataset, shard_stage
 from sdm.shapes import Cochlea, MeshFolder
 from sdm.stream import SDMStream
 
@@ -118,14 +117,14 @@ def test_meshes_are_turned_and_signed_as_one_says(tmp_path, folder, capsys):
 def test_resume_and_verify_need_no_more_than_the_name(tmp_path, folder, monkeypatch, capsys):
     whole, out = tmp_path / "whole.zarr", tmp_path / "d.zarr"
     assert run(folder, *SMALL, "-o", whole) == 0
-    real = job_module.write_shard
+    real = shard_stage.write_shard
 
     def stop_at_1(*args):
         if args[2] == 1:
             raise KeyboardInterrupt
         real(*args)
 
-    monkeypatch.setattr(job_module, "write_shard", stop_at_1)
+    monkeypatch.setattr(shard_stage, "write_shard", stop_at_1)
     assert run(folder, *SMALL, "-o", out) == 130
     monkeypatch.undo()
     capsys.readouterr()

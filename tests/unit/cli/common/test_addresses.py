@@ -19,7 +19,7 @@ import trimesh
 
 import sdm
 from sdm.cli.app import main
-from sdm.dataset import SDMDataset, shard_job
+from sdm.dataset import SDMDataset, shard_stage
 from sdm.io.files import stand_in
 
 # Sessions of s3fs are closed when they like.
@@ -139,19 +139,19 @@ def test_generate_and_its_resumption(base, tmp_path, monkeypatch):
     words = ["generate", "cochlea", "--triangles", "500", "--resolution", "8", "--count", "6", "--shard", "2"]
     words += ["--device", "cpu"]
     assert main([*words, "-o", str(tmp_path / "set.zarr")]) == 0
-    written = shard_job.write_shard
+    written = shard_stage.write_shard
 
     def dies(*given):
         if given[2] == 2:
             raise KeyboardInterrupt
         written(*given)
 
-    monkeypatch.setattr(shard_job, "write_shard", dies)
+    monkeypatch.setattr(shard_stage, "write_shard", dies)
     assert main([*words, "-o", f"{base}/set.zarr"]) == 130
     assert not there(f"{base}/set.zarr")
     assert there(f"{base}/set.zarr.part")
     made = []
-    monkeypatch.setattr(shard_job, "write_shard", lambda *given: (made.append(given[2]), written(*given)))
+    monkeypatch.setattr(shard_stage, "write_shard", lambda *given: (made.append(given[2]), written(*given)))
     assert main(["generate", "-o", f"{base}/set.zarr", "--resume", "--device", "cpu"]) == 0
     assert 0 not in made
     assert there(f"{base}/set.zarr") == here(tmp_path / "set.zarr")
