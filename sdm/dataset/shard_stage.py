@@ -6,10 +6,10 @@ small processes do it, each with a lock of its own, and maps are copied from the
 
 from __future__ import annotations
 
-import queue
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,9 +18,10 @@ import numpy as np
 import torch
 
 from sdm.dataset.shard_writer import write_shard
-from sdm.runtime.host_copy import HostRows, pinned
+from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.runtime.worker_processes.pool import WorkerProcesses
+from sdm.runtime.worker_processes.rooms import SharedRooms
 from sdm.runtime.worker_processes.shared_memory import SharedMemory, can_share
 
 # Shards that threads compress and write at a time; each is 256 MiB of memory, if nobody says otherwise. A thread
@@ -108,38 +109,17 @@ def process_writers(
     folder: Path, manifest: dict[str, Any], scratch: Path, device: torch.device, *, count: int
 ) -> Iterator[ShardWriters]:
     """Writers that are processes of their own."""
-    dtype, shape = manifest["recipe"]["dtype"], tuple(manifest["recipe"]["grid"]["shape"])
-    size = manifest["shard"] * int(np.prod(shape)) * np.dtype(dtype).itemsize
-    free: queue.SimpleQueue[SharedMemory | BaseException] = queue.SimpleQueue()
-    with ExitStack() as stack:
-        several = [stack.enter_context(closing(SharedMemory(size))) for _ in range(count + READY)]
-        workers = stack.enter_context(WorkerProcesses("sdm.dataset.shard_writer:write_shared", count, shared=several))
-        # It takes a tenth of a second for each, in which the first shards are made.
-        pinning = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="sdm-pin"))
-        pins = stack.enter_context(ExitStack())
-
-        def pin(memory: SharedMemory) -> None:
-            try:
-                if device.type == "cuda":
-                    pins.enter_context(pinned(memory.content, device))
-                free.put(memory)
-            except RuntimeError as error:
-                free.put(error)
-
-        def memory() -> SharedMemory:
-            found = free.get()
-            if isinstance(found, BaseException):
-                raise found
-            return found
+    dtype, shape = np.dtype(manifest["recipe"]["dtype"]), manifest["recipe"]["grid"]["shape"]
+    size = manifest["shard"] * math.prod(shape) * dtype.itemsize
+    with (
+        SharedRooms(count + READY, size, device) as rooms,
+        WorkerProcesses("sdm.dataset.shard_writer:write_alone", count, shared=rooms.all) as workers,
+    ):
 
         def write(shard: Shard) -> None:
-            if shard.memory is None:
-                raise ValueError("the maps of this shard are not where other processes see them")
             maps = shard.maps.wait()
-            place = shard.memory.handle, maps.shape, dtype
-            workers.call(folder, manifest, shard.number, shard.theta, shard.transform, place, scratch, CORES)
-            free.put(shard.memory)
+            workers.call(folder, manifest, shard.number, shard.theta, shard.transform, maps, scratch, CORES)
+            if shard.memory is not None:
+                rooms.give(shard.memory)
 
-        for one in several:
-            pinning.submit(pin, one)
-        yield ShardWriters(count, count + READY, memory, write)
+        yield ShardWriters(count, count + READY, rooms.take, write)

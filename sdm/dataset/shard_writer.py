@@ -14,7 +14,6 @@ from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.dataset.shard_paths import arrays_of, checksum_file, files_of
 from sdm.io.files.atomic import put
 from sdm.io.files.direct_file import DirectFile
-from sdm.runtime.worker_processes.shared_memory import attached
 
 # Of each array of rows.
 DTYPES = {"theta": "float32", "transform": "float64"}
@@ -60,32 +59,18 @@ def write_shard(
     put(checksum_file(folder, number), digest.digest())
 
 
-def write_shared(
+def write_alone(
     folder: Path,
     manifest: dict[str, Any],
     number: int,
     theta: np.ndarray,
     transform: np.ndarray | None,
-    maps: tuple[int, tuple[int, ...], str],
+    maps: np.ndarray,
     scratch: Path,
     threads: int,
 ) -> None:
-    """Write a shard in a worker process, see `write_shard`.
-
-    Args:
-        folder: The dataset.
-        manifest: Its manifest.
-        number: Which shard.
-        theta: (n,P) parameters.
-        transform: (n,4,4), for families that place meshes.
-        maps: Handle of the memory that they begin in, their shape (n,nx,ny,nz) and type.
-        scratch: A folder on the same disk that nobody else uses.
-        threads: That compress.
-    """
-    handle, shape, dtype = maps
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    values = attached(handle)[:size].view(dtype).reshape(shape)
-    write_shard(folder, manifest, number, theta, transform, values, scratch, _pool(threads))
+    """Write a shard in a process that does nothing else, with so many threads that compress; see `write_shard`."""
+    write_shard(folder, manifest, number, theta, transform, maps, scratch, _pool(threads))
 
 
 @cache

@@ -25,18 +25,15 @@ from sdm.runtime.sharing.devices import device_kind, devices_for
 from sdm.runtime.sharing.folder_job import ShardTold, this_process
 from sdm.runtime.sharing.processes import run_here
 from sdm.runtime.sharing.ray_cluster import run_on_ray
-from sdm.runtime.sharing.share_out import START, processes_for
+from sdm.runtime.sharing.share_out import processes_for
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker
 
 # Files of one dataset: beyond, folders and the list of checksums are slower than the maps.
 MOST_FILES = 10_000_000
-# Of maps that one process of an H100's host writes, and that it makes of shapes that take long, by which a GPU gets
-# several processes, and each GPU one.
-BYTES_A_SECOND, SLOWLY = 3e9, 1e8
-# Larger maps fill a GPU, and its memory, by one process.
-LARGEST_OF_SEVERAL = 1 << 25
+# Of maps that one process of an H100's host makes of shapes that take long, by which each GPU gets a process.
+BYTES_A_SECOND = 1e8
 
 Progress = Callable[[int, int], None]
 
@@ -79,8 +76,7 @@ def generate(
         shard: Samples in one file; by default 256 MiB of them.
         compression: "zstd" (lossless) or "none".
         device: "cuda:1", "cpu", ...; by default every GPU there is, else the CPU.
-        processes: The device of each process that takes part, in place of `device`; by default one for each GPU, and
-            several on each where many maps are still to be made.
+        processes: The device of each process that makes maps, in place of `device`; by default one for each GPU.
         ray: Address of a Ray cluster whose GPUs share the work ("auto" for the one this machine is in).
         resume: Finish an unfinished dataset of the same recipe; what is there stays.
         source: What the family was made from, kept in the manifest.
@@ -239,10 +235,8 @@ def remake(
 
 def processes_of(job: Job, maps: int, devices: list[str]) -> list[str]:
     """The device of each process that makes so many maps: see `processes_for`."""
-    nbytes = job.grid.size * job.dtype.itemsize
-    found = processes_for(devices, maps * nbytes / BYTES_A_SECOND, several=nbytes <= LARGEST_OF_SEVERAL)
-    # Shapes of one's own may take long.
-    return devices if len(found) < len(devices) and maps * nbytes / SLOWLY > START else found
+    # One makes more than a disk takes, beside those that write (`shard_stage`).
+    return processes_for(devices, maps * job.grid.size * job.dtype.itemsize / BYTES_A_SECOND, several=False)
 
 
 def finish(folder: Path, target: Path) -> None:

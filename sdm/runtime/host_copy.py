@@ -22,17 +22,23 @@ class HostCopy(Generic[T]):
         values: On any device. From a GPU it is copied into pinned memory by a stream of its own, beside the kernels
             that are queued next.
         make: Makes of the tensor on the host what `wait` returns.
+        memory: (n,) bytes to copy it into, `pinned` for a GPU; fresh ones by default.
 
     Another thread may wait; it holds nothing up but itself.
     """
 
-    def __init__(self, values: Tensor, make: Callable[[Tensor], T]) -> None:
+    def __init__(self, values: Tensor, make: Callable[[Tensor], T], *, memory: np.ndarray | None = None) -> None:
         self._make = make
         self._done: torch.cuda.Event | None = None
         if values.device.type != "cuda":
             self._host = values.detach()
+            if memory is not None:
+                self._host = _tensor_in(memory, values.shape, values.dtype).copy_(self._host)
             return
-        self._host = torch.empty(values.shape, dtype=values.dtype, device="cpu", pin_memory=True)
+        if memory is None:
+            self._host = torch.empty(values.shape, dtype=values.dtype, device="cpu", pin_memory=True)
+        else:
+            self._host = _tensor_in(memory, values.shape, values.dtype)
         side = _copy_stream(values.device)
         side.wait_stream(torch.cuda.current_stream(values.device))
         with torch.cuda.stream(side):
@@ -101,8 +107,7 @@ class HostRows:
         if memory is None:
             self._rows = torch.empty(shape, dtype=dtype, device="cpu", pin_memory=self._gpu is not None)
         else:
-            size = math.prod(shape) * dtype.itemsize
-            self._rows = torch.from_numpy(memory[:size]).view(dtype).view(shape)
+            self._rows = _tensor_in(memory, shape, dtype)
         self._done: torch.cuda.Event | None = None
 
     def put(self, begin: int, values: Tensor) -> None:
@@ -126,6 +131,10 @@ class HostRows:
         return self._rows.numpy()
 
 
+def _tensor_in(memory: np.ndarray, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    return torch.from_numpy(memory[: math.prod(shape) * dtype.itemsize]).view(dtype).view(shape)
+
+
 @cache
 def _copy_stream(device: torch.device) -> torch.cuda.Stream:
     return torch.cuda.Stream(device)
@@ -139,7 +148,8 @@ def pinned(memory: np.ndarray, device: torch.device) -> Iterator[None]:
         RuntimeError: CUDA cannot pin so much.
     """
     cuda: Any = torch.cuda.cudart()
-    torch.cuda.check_error(cuda.cudaHostRegister(memory.ctypes.data, memory.nbytes, 0))
+    with torch.cuda.device(device):
+        torch.cuda.check_error(cuda.cudaHostRegister(memory.ctypes.data, memory.nbytes, 0))
     try:
         yield
     finally:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from typing import Any
 
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import Told, tell
-from sdm.cli.maps.work import MapTask
+from sdm.cli.maps.map_writers import map_writers, writing_processes
+from sdm.cli.maps.work import MapTask, Written
 from sdm.core.device import choose_device
 from sdm.io.files.stand_in import StandIn, adopt
+from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
 from sdm.runtime.pipeline.thread_count import readers_beside, writers_beside
@@ -30,6 +33,7 @@ def maps_told(
     alone: bool = False,
     single: bool = False,
     workers: int | None = None,
+    writers: int = 0,
     times: StageTimes,
 ) -> Iterator[Told]:
     """Compute maps into their files, and tell of each, in the order of the tasks.
@@ -42,14 +46,34 @@ def maps_told(
         alone: An error is raised, and not told.
         single: The one mesh there is may have all of the machine.
         workers: Threads that read, and as many that write; by default what the machine has.
+        writers: Processes that write in place of threads.
         times: The pipeline's clock.
     """
-    readers, writers = (
+    readers, threads = (
         min(count, threads(settings.device) if workers is None else workers)
         for threads in (readers_beside, writers_beside)
     )
     most = TOGETHER if settings.device.type == "cuda" else 1
-    stages = MapStages(settings, progress, alone=single)
+    with ExitStack() as stack:
+        beside = stack.enter_context(map_writers(writers, settings, 2 * writers + most)) if writers else None
+        stages = MapStages(settings, progress, alone=single, writers=beside)
+        written = _written(tasks, count, settings, stages, readers, writers or threads, most, single, times)
+        for number, task, outcome in stack.enter_context(closing(written)):
+            yield tell(outcome, number, task, settings, alone=alone)
+
+
+def _written(
+    tasks: Iterable[tuple[int, MapTask]],
+    count: int,
+    settings: Settings,
+    stages: MapStages,
+    readers: int,
+    writers: int,
+    most: int,
+    single: bool,
+    times: StageTimes,
+) -> Generator[tuple[int, MapTask, Done[Written] | Failed], None, None]:
+    """The pipeline: number, files and outcome of each mesh."""
     known: list[tuple[int, MapTask]] = []
 
     def noted() -> Iterator[MapTask]:
@@ -77,9 +101,9 @@ def maps_told(
         prompt=True,
         single=single,
     )
-    for outcome in written:
-        number, task = known[outcome.number]
-        yield tell(outcome, number, task, settings, alone=alone)
+    with closing(written):
+        for outcome in written:
+            yield *known[outcome.number], outcome
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,12 +114,14 @@ class MapJob(FolderJob):
         tasks: Files of all meshes.
         settings: What is the same for all; the device is each process's own.
         workers: As of `maps_told`.
+        processes: That measure on each device.
         stand_ins: Paths that stand for addresses.
     """
 
     tasks: list[MapTask]
     settings: Settings
     workers: int | None = None
+    processes: int = 1
     stand_ins: tuple[StandIn, ...] = ()
 
     def absolute(self) -> MapJob:
@@ -122,7 +148,8 @@ class MapJob(FolderJob):
         """See `SharedJob`. Told are reports of shards, with what there is to tell of meshes in their order."""
         adopt(self.stand_ins)
         times = StageTimes() if times is None else times
-        more = {"workers": self.workers, "times": times}
+        writers = writing_processes(maker, [self.tasks[number] for number in self.wanted])
+        more: dict[str, Any] = {"workers": self.workers, "writers": writers // self.processes, "times": times}
         self.run_items(
             shards,
             lambda numbers: maps_told(((n, self.tasks[n]) for n in numbers), len(self.wanted), maker, **more),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,6 +17,7 @@ from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
 from sdm.errors import FormatError, SDMError
 
+DEFAULT_RESOLUTION = 128
 # Formats that have half precision, by their endings.
 WITH_HALF = ("npz", "zarr")
 
@@ -108,6 +110,14 @@ class Settings:
                 f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: use float32, "
                 "--truncate or --normalize"
             )
+
+    @property
+    def voxels(self) -> int | None:
+        """Voxels of each map; None where meshes of other sizes have others."""
+        if self.like is not None:
+            return self.like.size
+        resolution = self.resolution if self.resolution is not None else DEFAULT_RESOLUTION
+        return None if self.spacing is not None else math.prod(np.broadcast_to(resolution, 3).tolist())
 
     def stored(self, values: Tensor) -> Tensor:
         """Values as the file has them: cut, and of its type."""

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.map_writers import LARGEST_BESIDE, MapWriters
 from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
@@ -30,9 +31,6 @@ from sdm.io.maps.record import digest_of
 from sdm.io.maps.save_and_load import made_from, write_made_from
 from sdm.runtime.host_copy import HostCopy
 
-# A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
-LARGEST_BESIDE = 1 << 28
-
 
 class MapStages:
     """The work on each mesh, stage by stage.
@@ -41,10 +39,18 @@ class MapStages:
         settings: What is the same for all.
         progress: Called with the share of a large map that is done, while it is written.
         alone: Whether there is one mesh only.
+        writers: Processes that write maps; by default threads do.
     """
 
-    def __init__(self, settings: Settings, progress: Callable[[float], Any], *, alone: bool = False) -> None:
-        self._settings, self._alone = settings, alone
+    def __init__(
+        self,
+        settings: Settings,
+        progress: Callable[[float], Any],
+        *,
+        alone: bool = False,
+        writers: MapWriters | None = None,
+    ) -> None:
+        self._settings, self._alone, self._writers = settings, alone, writers
         self._progress = progress
         # Folders that have taken a file: trying it once for each map would be six calls of the system.
         self._writable: set[Path] = set()
@@ -149,7 +155,8 @@ class MapStages:
             truncated=self._settings.truncate,
             normalization=read.normalization,
         )
-        return Measured(read, HostCopy(values, make), None, field.ambiguous_voxels or 0, read.seconds)
+        copy = HostCopy(values, make) if self._writers is None else self._writers.host_copy(values, make)
+        return Measured(read, copy, None, field.ambiguous_voxels or 0, read.seconds)
 
     def write(self, found: Measured) -> Written:
         """Write a map, and look at it."""
@@ -166,7 +173,8 @@ class MapStages:
         if found.map is None:
             return found.inside or 0, found.ambiguous
         field = found.map.wait()
-        write_made_from(field, found.read.task.target, found.read.digest)
+        workers = None if self._writers is None else self._writers.workers
+        write_made_from(field, found.read.task.target, found.read.digest, workers=workers)
         return field.inside_voxels, found.ambiguous
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
 from sdm.cli.maps.map_manifest import MapManifest
-from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.map_stages import LARGEST_BESIDE
+from sdm.cli.maps.map_settings import DEFAULT_RESOLUTION, Settings
 from sdm.cli.maps.map_told import tasks_of
+from sdm.cli.maps.map_writers import LARGEST_BESIDE, writing_processes
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.io.files.stand_in import known
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -22,7 +20,6 @@ from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
 
 # About what one process of an H100's host takes for a mesh and for its map.
 SECONDS_OF_A_MESH, BYTES_A_SECOND = 1e-3, 3e9
-DEFAULT_RESOLUTION = 128
 
 
 def run(
@@ -67,7 +64,9 @@ def run(
         processes = processes_of(len(wanted), settings, devices) if processes is None else processes
         if wanted and (ray is not None or len(processes) > 1):
             size = shard_size(len(wanted), 0 if ray is not None else len(processes))
-            job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, workers=workers, stand_ins=known())
+            each = 1 if ray is not None else len(processes) // len(set(processes))
+            more: dict[str, Any] = {"workers": workers, "processes": each, "stand_ins": known()}
+            job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, **more)
             share_out(job, job.shards, processes, ray, account.hear, times)
         elif wanted:
             account.hear(
@@ -79,6 +78,7 @@ def run(
                     alone=len(jobs) == 1 and not skip_bad,
                     single=len(jobs) == 1,
                     workers=workers,
+                    writers=writing_processes(settings, [tasks[number] for number in wanted]),
                     times=times,
                 )
             )
@@ -92,8 +92,7 @@ def processes_of(meshes: int, settings: Settings, devices: list[str] | None) -> 
     """The device of each process that makes maps: see `processes_for`."""
     if devices is None:
         return [str(settings.device)]
-    resolution = settings.resolution if settings.resolution is not None else DEFAULT_RESOLUTION
-    voxels = settings.like.size if settings.like is not None else math.prod(np.broadcast_to(resolution, 3).tolist())
+    voxels = settings.voxels or DEFAULT_RESOLUTION**3
     seconds = meshes * (SECONDS_OF_A_MESH + 4 * voxels / BYTES_A_SECOND)
     return processes_for(devices, seconds, several=4 * voxels <= LARGEST_BESIDE)
 

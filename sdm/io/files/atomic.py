@@ -7,11 +7,12 @@ import platform
 import secrets
 import shutil
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from io import RawIOBase
 from pathlib import Path
+from typing import Any
 
 from sdm.errors import FormatError
 from sdm.io.files.rename_exchange import exchange
@@ -46,6 +47,12 @@ def replacing(target: Path) -> Iterator[Path]:
         raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
     finally:
         remove(part)
+
+
+def replace_by(target: Path, write: Callable[..., None], given: tuple[Any, ...]) -> None:
+    """Write a file by a function of its path and more, in place of what is there; see `replacing`."""
+    with replacing(target) as part:
+        write(part, *given)
 
 
 def put(target: Path, content: bytes | Path) -> None:

@@ -31,12 +31,14 @@ class Format:
         extra_maps: Memory that writing takes beyond the map on the host, in maps.
         writer: The writer's name.
         streamed: Whether the writer takes a map slab by slab, into a folder.
+        alone: Whether `write_file` of that file, of what `planned` tells of a map, writes it without torch.
     """
 
     name: str
     extra_maps: float = 0.0
     writer: str = "write"
     streamed: bool = False
+    alone: bool = False
 
     @property
     def module(self) -> ModuleType:
@@ -45,9 +47,9 @@ class Format:
 
 
 FORMATS = {
-    "nii.gz": Format("nifti", writer="write_compressed"),
+    "nii.gz": Format("nifti", writer="write_compressed", alone=True),
     "nii": Format("nifti"),
-    "npz": Format("npz"),
+    "npz": Format("npz", alone=True),
     "nrrd": Format("nrrd", extra_maps=1.0),
     "mha": Format("metaimage", extra_maps=1.0),
     "mhd": Format("metaimage", extra_maps=1.0),

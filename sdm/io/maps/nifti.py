@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,7 @@ from nibabel.openers import ImageOpener
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.files.direct_file import DirectFile
-from sdm.io.files.gzip_packer import packed
-from sdm.io.files.thread_room import thread_room
+from sdm.io.files.nifti_stream import pieces, write_file
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
@@ -34,15 +31,12 @@ COMMENT = 6
 # Of a record of ours among the comments.
 BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
-# Bytes of values that are turned, packed and written at once: they lie with x fastest in a file, and of many threads
-# each waits for Python's lock after every call.
-TURNED = 1 << 24
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        for piece in _pieces(_image(field, made_from)):
+        for piece in pieces(*_head_and_values(_image(field, made_from))):
             file.write(piece.data)
 
 
@@ -51,9 +45,12 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
     `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
     """
-    with DirectFile(path, field.grid.nbytes) as file:
-        for piece in packed(_pieces(_image(field, made_from, space))):
-            file.write(piece)
+    write_file(path, *planned(field, made_from, space=space))
+
+
+def planned(field: SDM, made_from: str | None = None, *, space: int = SCANNER) -> tuple[bytes, np.ndarray]:
+    """What `write_file` gets beside the path."""
+    return _head_and_values(_image(field, made_from, space))
 
 
 def read(path: Path) -> SDM:
@@ -99,27 +96,14 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     return image
 
 
-def _pieces(image: Any) -> Iterator[np.ndarray]:
-    """An image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers.
-
-    Each piece (n,) holds until the next one is asked for.
-    """
+def _head_and_values(image: Any) -> tuple[bytes, np.ndarray]:
+    """What is before the values of an image, with them: the bytes of nibabel's `to_stream`."""
     image.update_header()
     header, values = image.header, image.dataobj
     header.set_slope_inter(1.0, 0.0)
     head = io.BytesIO()
     header.write_to(head)
-    yield np.frombuffer(head.getvalue().ljust(header.get_data_offset(), b"\0"), np.uint8)
-    nx, ny, nz = values.shape
-    layers = max(1, TURNED // (4 * nx * ny))
-    for begin in range(0, nz, layers):
-        part = values[:, :, begin : begin + layers]
-        # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
-        first, second = (thread_room(name, part.nbytes).view(part.dtype) for name in ("turned", "turned twice"))
-        turned = first.reshape(-1, nx)
-        turned[:] = part.reshape(nx, -1).T
-        second.reshape(-1, ny, nx)[:] = turned.reshape(ny, -1, nx).transpose(1, 0, 2)
-        yield second.view(np.uint8)
+    return head.getvalue().ljust(header.get_data_offset(), b"\0"), values
 
 
 def opened(path: Path, holder: FileHolder | None = None) -> Any:

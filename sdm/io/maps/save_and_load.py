@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
     from sdm.engine.arguments import Sign
     from sdm.engine.mesh_index import MeshIndex
+    from sdm.runtime.worker_processes.pool import WorkerProcesses
+
+
+# What worker processes run that write maps.
+WRITE = "sdm.io.files.atomic:replace_by"
 
 
 class VoxelCounts(NamedTuple):
@@ -67,9 +72,12 @@ def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
     write_made_from(field, target, made_from)
 
 
-def write_made_from(field: SDM, target: Path, made_from: str | None) -> None:
-    """As `save_made_from`, to a place that `check_target` has looked at."""
+def write_made_from(field: SDM, target: Path, made_from: str | None, *, workers: WorkerProcesses | None = None) -> None:
+    """As `save_made_from`, to a place that `check_target` has looked at, by processes that run `WRITE` if they can."""
     chosen = format_of(target)
+    if workers is not None and chosen.alone:
+        workers.call(target, chosen.module.write_file, chosen.module.planned(field, made_from))
+        return
     with replacing(target) as part:
         getattr(chosen.module, chosen.writer)(field, part, made_from)
 

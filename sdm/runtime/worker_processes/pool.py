@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from sdm.errors import SDMError
-from sdm.runtime.worker_processes.shared_memory import SharedMemory
+from sdm.runtime.worker_processes.shared_memory import SharedMemory, packed
 
 # Before anything is imported, the places where this process finds what it imports.
 BEGIN = """
@@ -41,7 +41,7 @@ class WorkerProcesses:
     Args:
         function: Its place, `module:function`. What the module imports is what the start costs.
         count: Of processes.
-        shared: Memory that they are to have.
+        shared: Memory that they are to have: arrays in it are not copied.
 
     They end with this process, however that ends. An interrupt from the terminal is this process's alone.
     """
@@ -49,6 +49,7 @@ class WorkerProcesses:
     def __init__(self, function: str, count: int, *, shared: Sequence[SharedMemory] = ()) -> None:
         self._workers: list[_Worker] = []
         self._idle: queue.LifoQueue[_Worker] = queue.LifoQueue()
+        self._shared = shared
         handles = [memory.handle for memory in shared]
         try:
             for _ in range(count):
@@ -78,7 +79,7 @@ class WorkerProcesses:
         """
         worker = self._idle.get()
         try:
-            worker.link.send(given)
+            worker.link.send_bytes(packed(given, self._shared))
             error, value = worker.link.recv()
         except (EOFError, OSError):
             code = worker.process.wait()

@@ -15,6 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, GridError
 from sdm.io import grid_like, load, save
+from sdm.io.files import nifti_stream
 from sdm.io.maps import nifti
 
 TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
@@ -151,7 +152,7 @@ def test_a_sheared_image_is_refused(tmp_path):
 
 @pytest.mark.parametrize("turned_at_once", [1, 400, 1 << 24])
 def test_nifti_has_the_bytes_of_nibabel(field, turned_at_once, monkeypatch):
-    monkeypatch.setattr(nifti, "TURNED", turned_at_once)
+    monkeypatch.setattr(nifti_stream, "TURNED", turned_at_once)
     image = nifti._image(field, "a" * 32)
-    pieces = nifti._pieces(nifti._image(field, "a" * 32))
+    pieces = nifti_stream.pieces(*nifti._head_and_values(nifti._image(field, "a" * 32)))
     assert b"".join(piece.tobytes() for piece in pieces) == image.to_bytes()

@@ -12,19 +12,20 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sdm.errors import FormatError, SDMError
 from sdm.runtime.worker_processes.pool import WorkerProcesses
-from sdm.runtime.worker_processes.shared_memory import SharedMemory, attached, can_share
+from sdm.runtime.worker_processes.shared_memory import SharedMemory, can_share, packed
 
 pytestmark = pytest.mark.skipif(not can_share(), reason="this system has no memory without a name")
 HERE = "tests.unit.runtime.worker_processes.test_pool"
 ROOT = Path(__file__).parents[4]
 
 
-def sum_of(handle: int, size: int) -> int:
-    return int(attached(handle)[:size].sum())
+def sum_of(values: np.ndarray) -> tuple[int, bool]:
+    return int(values.sum()), values.flags.writeable
 
 
 def fails(error: Exception) -> None:
@@ -51,10 +52,20 @@ def test_each_sees_the_memory():
         closing(SharedMemory(10_000)) as second,
         WorkerProcesses(f"{HERE}:sum_of", 2, shared=[first, second]) as workers,
     ):
+        part = second.content[80:8080].view(np.float64).reshape(100, 10)
         for value in (1, 2):
-            second.content[:] = value
-            assert workers.call(second.handle, 9000) == 9000 * value
-        assert workers.call(first.handle, 1000) == 0
+            part[:] = value
+            assert workers.call(part) == (1000 * value, False)
+        assert workers.call(first.content) == (0, False)
+        # What is elsewhere, or has gaps, is copied.
+        assert workers.call(part[:, ::2]) == (1000, True)
+        assert workers.call(np.ones(3)) == (3, True)
+
+
+def test_of_shared_arrays_little_is_sent():
+    with closing(SharedMemory(1_000_000)) as memory:
+        assert len(packed((1, {"values": memory.content}), [memory])) < 1000
+        assert len(packed((1, {"values": memory.content.copy()}), [memory])) > 1_000_000
 
 
 def test_calls_of_several_threads_go_to_several_processes():

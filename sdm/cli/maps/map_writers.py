@@ -1,0 +1,89 @@
+"""Processes that write maps beside the one that measures them, in memory that they share."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+import numpy as np
+from torch import Tensor
+
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.work import MapTask
+from sdm.io.files.stand_in import known
+from sdm.io.maps.formats import format_of
+from sdm.io.maps.save_and_load import WRITE
+from sdm.runtime.host_copy import HostCopy
+from sdm.runtime.pipeline.stages import MOST_BYTES
+from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.runtime.worker_processes.pool import WorkerProcesses
+from sdm.runtime.worker_processes.rooms import SharedRooms
+from sdm.runtime.worker_processes.shared_memory import can_share
+
+T = TypeVar("T")
+# Cores and maps for which it is worth starting processes.
+LEAST_CORES, LEAST_MAPS = 4, 32
+# A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
+LARGEST_BESIDE = 1 << 28
+
+
+class MapWriters:
+    """Processes that write maps, and rooms that these are copied into.
+
+    Args:
+        workers: The processes.
+        rooms: The rooms.
+    """
+
+    def __init__(self, workers: WorkerProcesses, rooms: SharedRooms) -> None:
+        self.workers, self._rooms = workers, rooms
+
+    def host_copy(self, values: Tensor, make: Callable[[Tensor], T]) -> HostCopy[T]:
+        """Values on their way to a room, if they find place in one; it is free again when the copy is let go of."""
+        if values.nbytes > self._rooms.size:
+            return HostCopy(values, make)
+        room = self._rooms.take()
+        found = HostCopy(values, make, memory=room.content)
+        weakref.finalize(found, self._rooms.give, room).atexit = False
+        return found
+
+
+@contextmanager
+def map_writers(count: int, settings: Settings, most: int) -> Iterator[MapWriters]:
+    """So many processes that write, and rooms for the maps of a pipeline.
+
+    Args:
+        count: Of processes.
+        settings: Of all maps.
+        most: Maps that are on their way at most.
+    """
+    size = _bytes_of_map(settings)
+    several = max(count, min(most, MOST_BYTES // size))
+    with (
+        SharedRooms(several, size, settings.device) as rooms,
+        WorkerProcesses(WRITE, count, shared=rooms.all) as workers,
+    ):
+        yield MapWriters(workers, rooms)
+
+
+def writing_processes(settings: Settings, tasks: Sequence[MapTask]) -> int:
+    """Number of processes that are to write the maps of these meshes; 0 where threads do it.
+
+    Args:
+        settings: Of all maps.
+        tasks: The meshes.
+    """
+    threads = threads_beside(settings.device)
+    few = settings.device.type != "cuda" or threads < LEAST_CORES or len(tasks) < LEAST_MAPS
+    # At an address, maps go through this process.
+    if few or not can_share() or any(one.written for one in known()):
+        return 0
+    fits = settings.band is None and 0 < _bytes_of_map(settings) <= LARGEST_BESIDE
+    return threads if fits and format_of(tasks[0].target).alone else 0
+
+
+def _bytes_of_map(settings: Settings) -> int:
+    """Bytes of each map; 0 where they differ from mesh to mesh."""
+    return (settings.voxels or 0) * np.dtype(settings.dtype).itemsize

@@ -1,0 +1,41 @@
+"""Bytes of a NIfTI file from its header and its values, plain or packed. It imports little: see `worker_processes`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from sdm.io.files.direct_file import DirectFile
+from sdm.io.files.gzip_packer import packed
+from sdm.io.files.thread_room import thread_room
+
+# Bytes of values that are turned, packed and written at once: they lie with x fastest in a file, and of many threads
+# each waits for Python's lock after every call.
+TURNED = 1 << 24
+
+
+def pieces(head: bytes, values: np.ndarray) -> Iterator[np.ndarray]:
+    """Content of a file: all that is before the values, and these, (nx,ny,nz) float32.
+
+    Each piece (n,) holds until the next one is asked for.
+    """
+    yield np.frombuffer(head, np.uint8)
+    nx, ny, nz = values.shape
+    layers = max(1, TURNED // (4 * nx * ny))
+    for begin in range(0, nz, layers):
+        part = values[:, :, begin : begin + layers]
+        # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
+        first, second = (thread_room(name, part.nbytes).view(part.dtype) for name in ("turned", "turned twice"))
+        turned = first.reshape(-1, nx)
+        turned[:] = part.reshape(nx, -1).T
+        second.reshape(-1, ny, nx)[:] = turned.reshape(ny, -1, nx).transpose(1, 0, 2)
+        yield second.view(np.uint8)
+
+
+def write_file(path: Path, head: bytes, values: np.ndarray) -> None:
+    """Write a new file, packed by gzip: see `pieces`."""
+    with DirectFile(path, values.nbytes) as file:
+        for piece in packed(pieces(head, values)):
+            file.write(piece)

@@ -1,0 +1,111 @@
+"""Maps by processes that only write: the same bytes and lines, errors of single meshes, and who has such processes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sdm.cli.maps import map_writers
+from sdm.cli.maps.map_told import tasks_of
+from sdm.cli.maps.map_writers import writing_processes
+from sdm.cli.maps.run import run
+from sdm.errors import FormatError
+from sdm.io.files.atomic import replace_by
+from sdm.io.files.nifti_stream import write_file
+from sdm.runtime.worker_processes.shared_memory import can_share
+from tests.helpers.map_settings import map_settings
+
+pytestmark = pytest.mark.skipif(not can_share(), reason="this system has no memory without a name")
+COUNT = 12
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Meshes that differ, one of them bad."""
+    place = tmp_path / "in"
+    place.mkdir()
+    for number in range(COUNT):
+        ball = trimesh.creation.icosphere(1)
+        ball.apply_scale([1, 1 + 0.1 * number, 1])
+        ball.export(place / f"{number:02}.ply")
+    (place / "03.ply").write_bytes(b"ply\n")
+    return place
+
+
+def made(folder: Path, out: Path, ending: str, **settings) -> tuple[dict[str, bytes], list[Path]]:
+    out.mkdir()
+    # One whose file is in the way of a folder cannot be written.
+    (out / f"05.{ending}").mkdir()
+    jobs = [(file, out / f"{file.stem}.{ending}") for file in sorted(folder.iterdir())]
+    assert run(jobs, map_settings(10, **settings)) == 2
+    files = {file.name: file.read_bytes() for file in out.iterdir() if file.is_file()}
+    return files, list(out.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("ending", "settings"), [("npz", {}), ("npz", {"dtype": "float16"}), ("nii.gz", {}), ("nii", {})], ids=str
+)
+def test_the_same_files_and_lines(folder, tmp_path, monkeypatch, capsys, ending, settings):
+    threads = made(folder, tmp_path / "threads", ending, **settings)
+    lines = capsys.readouterr()
+    monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: 2)
+    # Fewer rooms than maps.
+    monkeypatch.setattr(map_writers, "MOST_BYTES", 3000)
+    processes = made(folder, tmp_path / "processes", ending, **settings)
+    assert processes == threads
+    assert len(threads[0]) == COUNT - 2
+    assert not threads[1]
+    said = capsys.readouterr()
+    for before, after in zip(lines, said, strict=True):
+        assert [words(line) for line in after.replace("processes", "threads").splitlines()] == [
+            words(line) for line in before.splitlines()
+        ]
+
+
+def words(line: str) -> str:
+    """A line without its times."""
+    return line.partition(" voxels")[0]
+
+
+def test_a_map_larger_than_the_rooms_is_copied_elsewhere(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: 2)
+    monkeypatch.setattr(map_writers, "_bytes_of_map", lambda settings: 1000)
+    assert len(made(folder, tmp_path / "out", "npz")[0]) == COUNT - 2
+
+
+def test_what_cannot_be_written_is_left_as_it_was(tmp_path):
+    target = tmp_path / "a.nii.gz"
+    target.write_bytes(b"before")
+    with pytest.raises(TypeError):
+        replace_by(target, write_file, (b"head", None))
+    assert [file.name for file in tmp_path.iterdir()] == ["a.nii.gz"]
+    assert target.read_bytes() == b"before"
+    with pytest.raises(FormatError, match="the folder .* is not there"):
+        replace_by(tmp_path / "none" / "a.nii.gz", write_file, (b"head", np.zeros((1, 1, 1), np.float32)))
+
+
+@pytest.mark.parametrize(
+    ("change", "ending", "count", "processes"),
+    [
+        ({}, "npz", 100, 16),
+        ({}, "nii.gz", 100, 16),
+        ({"device": torch.device("cpu")}, "npz", 100, 0),
+        # Few, of unknown sizes, large, bands, and formats that need more libraries.
+        ({}, "npz", 10, 0),
+        ({"resolution": None, "spacing": 0.1}, "npz", 100, 0),
+        ({"resolution": 512}, "npz", 100, 0),
+        ({"band": 3.0}, "npz", 100, 0),
+        ({}, "nrrd", 100, 0),
+    ],
+)
+def test_who_has_them(monkeypatch, change, ending, count, processes):
+    monkeypatch.setattr(map_writers, "threads_beside", lambda device: 16)
+    settings = replace(map_settings(64), **{"device": torch.device("cuda"), **change})
+    tasks = tasks_of([(Path(f"{number}.ply"), Path(f"{number}.{ending}")) for number in range(count)])
+    assert writing_processes(settings, tasks) == processes
