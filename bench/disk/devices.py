@@ -61,7 +61,7 @@ def compute_rows(folder: Path, count: int, ways: list[list[str]], checked: int) 
         out.mkdir()
         jobs = [(file, out / f"{file.stem}.npz") for file in files]
         row: dict[str, Any] = {"work": "compute .npz", "count": count, "processes": processes}
-        row |= compute_rates(jobs, MESHES_AT, processes, StageTimes())
+        row |= compute_rates(jobs, MESHES_AT, processes[0], StageTimes(), processes=processes)
         for _, target in jobs[checked:]:
             target.unlink()
         whole.add(content(out))
@@ -115,7 +115,7 @@ def main() -> None:
         first = [(file, folder / "warm-maps" / f"{file.stem}.npz") for file in warm]
         for file in warm[:3]:
             sdm.signed_distance_map(file, resolution=MESHES_AT, device=every[0])
-        compute_rates(first, MESHES_AT, every[:1], StageTimes())
+        compute_rates(first, MESHES_AT, every[0], StageTimes(), processes=every[:1])
         plain, zstd = (torch.float16, "none"), (torch.float32, "zstd")
         for _ in generate_rows(folder, 2000, ways[:1], *plain) if options.maps else ():
             pass

@@ -5,8 +5,9 @@
 By turns: the command, then files of the sizes that it wrote by plain writers: one after the other, each flushed; the
 same by threads; and these past the system's cache. The engine alone makes the same and keeps nothing. Output is removed
 after each turn. The share is that of the best of the three writers, or of the engine where that is slower, which the
-command reaches between a quarter and nineteen twentieths of its work (`steady`): both have `--processes` on the GPU, as
-for a long job, which take some ten seconds to start.
+command reaches between a quarter and nineteen twentieths of its work (`steady`), and, `with_start`, from its call on, when
+kernels have been loaded. Commands choose their processes themselves, if `--processes` does not say how many measure on
+the GPU.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class Work:
 
 def works(names: list[str], folder: Path, maps: int, meshes: int, device: str, processes: int) -> list[Work]:
     """The commands of these names, each with one of its formats, in their order."""
-    kinds, several = {name.split()[0] for name in names}, [device] * processes
+    kinds = {name.split()[0] for name in names}
+    several: dict[str, Any] = {"processes": [device] * processes} if processes else {"device": device}
     alone: dict[str, float] = {}
     family = Cochlea(TRIANGLES)
     grid, files = family.grid(MAPS_AT), list[Path]()
@@ -72,12 +74,12 @@ def works(names: list[str], folder: Path, maps: int, meshes: int, device: str, p
         alone["compute"] = alone_of_compute(some, MESHES_AT, device)[0] * meshes / len(some)
 
     def make(out: Path, times: StageTimes, dtype: str, compression: str) -> Any:
-        more: dict[str, Any] = {"dtype": getattr(torch, dtype), "compression": compression, "processes": several}
+        more: dict[str, Any] = {"dtype": getattr(torch, dtype), "compression": compression, **several}
         return generate_rates(family, grid, maps, out / "d.zarr", times, **more)
 
     def measure(out: Path, times: StageTimes, ending: str) -> Any:
         jobs = [(file, out / f"{file.stem}{ending}") for file in files]
-        return compute_rates(jobs, MESHES_AT, several, times)
+        return compute_rates(jobs, MESHES_AT, device, times, processes=several.get("processes"))
 
     found = []
     for name in names:
@@ -120,7 +122,7 @@ def row_of(
     return {
         "work": work.name,
         "count": work.count,
-        "processes": processes,
+        "processes": processes or "as the command chooses",
         "rounds": len(ours),
         "per_second": round(middle["of_all"], 1),
         "steady_per_second": round(middle["steady"], 1),
@@ -129,6 +131,7 @@ def row_of(
         "writing_threads": threads,
         "of_one_after_the_other": round(middle["steady"] / min(middle[ONE], engine), 3),
         "of_smaller": round(middle["steady"] / limit, 3),
+        "of_smaller_with_start": round(middle["of_all"] / limit, 3),
         "mb_each": round(each, 4),
         "mb_per_s": {name: [round(rate * each, 1) for rate in found] for name, found in {**rates, **plain}.items()},
         "busy_seconds": {stage: round(seconds, 3) for stage, seconds in busy.items()},
@@ -143,7 +146,7 @@ def main() -> None:
     parser.add_argument("--maps", type=int, default=12_000, help="of generate")
     parser.add_argument("--meshes", type=int, default=600, help="of compute")
     parser.add_argument("--plain", type=int, default=MOST_PLAIN, help="bytes of each turn of plain writers at most")
-    parser.add_argument("--processes", type=int, default=1, help="that share the work on the device")
+    parser.add_argument("--processes", type=int, default=0, help="that measure on the device")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--budget-s", type=float, default=600.0, help="no round begins later, but the first of each")
     parser.add_argument("--out", type=Path, help="JSON file")

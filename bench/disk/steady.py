@@ -38,12 +38,19 @@ def rates(begin: float, times: list[float], counts: Sequence[float]) -> dict[str
     return {**found, "steady": round((counts[last] - counts[first]) / between, 1)} if between > 0 else found
 
 
-def compute_rates(jobs: list[tuple[Path, Path]], resolution: int, processes: list[str], times: StageTimes) -> Any:
-    """Rates of `sdm compute` by processes on these devices, by the times of its files; one alone is this process."""
-    settings, begin = settings_for(resolution, processes[0]), time.time()
+def compute_rates(
+    jobs: list[tuple[Path, Path]],
+    resolution: int,
+    device: str,
+    times: StageTimes,
+    *,
+    processes: list[str] | None = None,
+) -> Any:
+    """Rates of `sdm compute` on a device, by the times of its files; by these processes, or as it chooses itself."""
+    settings, begin = settings_for(resolution, device), time.time()
     # Lines are printed in the order of meshes, and so all of them late where the first one is.
     with redirect_stdout(io.StringIO()):
-        compute(jobs, settings, processes=processes, times=times)
+        compute(jobs, settings, devices=[device], processes=processes, times=times)
     written = sorted(target.stat().st_mtime for _, target in jobs)
     return rates(begin, written, list(range(1, len(written) + 1)))
 
