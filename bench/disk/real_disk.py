@@ -5,9 +5,9 @@
 By turns: the command, then files of the sizes that it wrote by plain writers: one after the other, each flushed; the
 same by threads; and these past the system's cache. The engine alone makes the same and keeps nothing. Output is removed
 after each turn. The share is that of the best of the three writers, or of the engine where that is slower, which the
-command reaches between a quarter and nineteen twentieths of its work (`steady`), and, `with_start`, from its call on, when
-kernels have been loaded. Commands choose their processes themselves, if `--processes` does not say how many measure on
-the GPU.
+command reaches between a quarter and nineteen twentieths of its work (`steady`), and `with_start`, from its call on,
+with kernels that have been loaded before. Commands choose their processes themselves, if `--processes` does not say how
+many measure on the GPU.
 """
 
 from __future__ import annotations
