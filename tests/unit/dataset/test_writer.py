@@ -24,19 +24,12 @@ def job(resolution: int) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("resolution", "maps", "each"),
-    [
-        # One GPU has ended when others would have started, whatever the shapes.
-        (64, 500, 0.5),
-        (64, 5_000, 1),
-        (64, 100_000, 4),
-        # Large maps fill a GPU.
-        (256, 100_000, 1),
-    ],
+    ("resolution", "maps", "processes"),
+    # One GPU has ended when the other would have started, whatever the shapes.
+    [(64, 500, 1), (64, 5_000, 2), (64, 100_000, 2), (256, 100_000, 2)],
 )
-def test_long_work_has_more_processes(resolution, maps, each):
-    two = ["cuda:0", "cuda:1"]
-    assert len(processes_of(job(resolution), maps, two)) == 2 * each
+def test_long_work_has_a_process_for_each_gpu(resolution, maps, processes):
+    assert len(processes_of(job(resolution), maps, ["cuda:0", "cuda:1"])) == processes
 
 
 def test_the_engine_of_a_cpu_has_all_of_it():
