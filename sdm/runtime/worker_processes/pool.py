@@ -30,6 +30,10 @@ ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS":
 PATIENCE = 5.0
 
 
+class WorkerDied(SDMError):
+    """A process that was to do a call is gone, which says nothing about what it was called for."""
+
+
 class _Worker(NamedTuple):
     process: subprocess.Popen[bytes]
     link: Connection
@@ -74,7 +78,7 @@ class WorkerProcesses:
         """What the function returns, from the next process that is idle. Safe to use from several threads.
 
         Raises:
-            SDMError: The process died.
+            WorkerDied: The process died, whose work nobody else takes.
             Exception: What the function raised.
         """
         worker = self._idle.get()
@@ -83,7 +87,7 @@ class WorkerProcesses:
             error, value = worker.link.recv()
         except (EOFError, OSError):
             code = worker.process.wait()
-            raise SDMError(f"a worker process died (exit code {code}); --resume goes on from there") from None
+            raise WorkerDied(f"a worker process died (exit code {code}); --resume goes on from there") from None
         finally:
             self._idle.put(worker)
         if error is not None:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +15,7 @@ import pytest
 import torch
 import trimesh
 
+from sdm.cli import main
 from sdm.cli.maps import map_writers
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.map_writers import writing_processes
@@ -70,6 +76,49 @@ def test_the_same_files_and_lines(folder, tmp_path, monkeypatch, capsys, ending,
 def words(line: str) -> str:
     """A line without its times."""
     return line.partition(" voxels")[0]
+
+
+BY_PROCESSES = """
+import sys
+from sdm.cli import main
+from sdm.cli.maps import run
+run.writing_processes = lambda *_: 2
+sys.exit(main())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["interrupt", "writer", "parent"])
+def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder, tmp_path, capsys, victim):
+    out, options = tmp_path / "out", ["compute", str(folder), "--format", "nii.gz", "--resolution", "64", "--skip-bad"]
+    command = [sys.executable, "-W", "ignore", "-c", BY_PROCESSES, *options, "-o", out, "--device", "cpu"]
+    child = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    limit = time.monotonic() + 100
+    while not list(out.glob("[0-9]*.nii.gz")) and time.monotonic() < limit:
+        time.sleep(0.005)
+    writers = [int(word) for word in Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()]
+    assert len(writers) == 2
+    if victim == "interrupt":
+        # As a terminal does it, to the whole group.
+        os.killpg(child.pid, signal.SIGINT)
+    else:
+        os.kill(child.pid if victim == "parent" else writers[0], signal.SIGKILL)
+    said = child.communicate(timeout=60)[1]
+    assert "Traceback" not in said
+    if victim == "writer":
+        assert "sdm: a worker process died (exit code -9); --resume goes on from there" in said
+    assert child.returncode == {"interrupt": 130, "writer": 2, "parent": -9}[victim]
+    while any(Path(f"/proc/{number}").exists() for number in writers) and time.monotonic() < limit:
+        time.sleep(0.01)
+    assert not any(Path(f"/proc/{number}").exists() for number in writers)
+    assert main([*options, "-o", str(out), "--device", "cpu", "--resume"]) == 0
+    assert main([*options, "-o", str(tmp_path / "whole"), "--device", "cpu"]) == 0
+    names = sorted(file.name for file in (tmp_path / "whole").glob("*.nii.gz"))
+    assert len(names) == COUNT - 1
+    assert sorted(file.name for file in out.iterdir() if file.name != "report.json") == names
+    assert all((out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes() for name in names)
 
 
 def test_a_map_larger_than_the_rooms_is_copied_elsewhere(folder, tmp_path, monkeypatch):
