@@ -19,7 +19,7 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
 from sdm.runtime.pipeline.thread_count import readers_beside, writers_beside
 from sdm.runtime.sharing.folder_job import FolderJob, ShardTold, require_seen
-from sdm.runtime.worker_processes.pool import WorkerDied
+from sdm.runtime.worker_processes.pool import WorkerError
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
@@ -60,7 +60,7 @@ def maps_told(
         stages = MapStages(settings, progress, alone=single, writers=beside)
         written = _written(tasks, count, settings, stages, readers, writers or threads, most, single, times)
         for number, task, outcome in stack.enter_context(closing(written)):
-            if isinstance(outcome, Failed) and isinstance(outcome.error, WorkerDied):
+            if isinstance(outcome, Failed) and isinstance(outcome.error, WorkerError):
                 raise outcome.error
             yield tell(outcome, number, task, settings, alone=alone)
 

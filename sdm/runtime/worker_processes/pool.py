@@ -30,7 +30,7 @@ ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS":
 PATIENCE = 5.0
 
 
-class WorkerDied(SDMError):
+class WorkerError(SDMError):
     """A process that was to do a call is gone, which says nothing about what it was called for."""
 
 
@@ -78,7 +78,7 @@ class WorkerProcesses:
         """What the function returns, from the next process that is idle. Safe to use from several threads.
 
         Raises:
-            WorkerDied: The process died, whose work nobody else takes.
+            WorkerError: The process died, whose work nobody else takes.
             Exception: What the function raised.
         """
         worker = self._idle.get()
@@ -87,7 +87,7 @@ class WorkerProcesses:
             error, value = worker.link.recv()
         except (EOFError, OSError):
             code = worker.process.wait()
-            raise WorkerDied(f"a worker process died (exit code {code}); --resume goes on from there") from None
+            raise WorkerError(f"a worker process died (exit code {code}); --resume goes on from there") from None
         finally:
             self._idle.put(worker)
         if error is not None:

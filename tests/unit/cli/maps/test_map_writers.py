@@ -104,7 +104,8 @@ def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder,
         # As a terminal does it, to the whole group.
         os.killpg(child.pid, signal.SIGINT)
     else:
-        os.kill(child.pid if victim == "parent" else writers[0], signal.SIGKILL)
+        for number in [child.pid] if victim == "parent" else writers:
+            os.kill(number, signal.SIGKILL)
     said = child.communicate(timeout=60)[1]
     assert "Traceback" not in said
     if victim == "writer":
