@@ -60,7 +60,7 @@ class WorkerProcesses:
                 worker = _started(handles)
                 self._workers.append(worker)
                 worker.link.send(sys.path)
-                worker.link.send(function)
+                worker.link.send_bytes(function.encode())
                 self._idle.put(worker)
         except BaseException:
             self.close()
