@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.dataset import SDMDataset, damaged, generate, shard_stage, verify
+from sdm.dataset import SDMDataset, damaged, generate, shard_job, shard_stage, verify
+from sdm.runtime.worker_processes.shared_memory import can_share
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 
@@ -27,6 +28,20 @@ def test_holds_what_the_stream_yields(tmp_path, dtype):
     path = generate(FAMILY, GRID, COUNT, tmp_path / "d.zarr", shard=16, dtype=dtype, truncate=1.5, device="cuda")
     assert torch.equal(maps(path), batch.sdm.cpu())
     assert SDMDataset(path).manifest["device"] == torch.cuda.get_device_name()
+
+
+@pytest.mark.skipif(not can_share(), reason="this system has no memory without a name")
+@pytest.mark.parametrize(("dtype", "compression"), [(torch.float32, "zstd"), (torch.float16, "none")])
+def test_shards_by_processes_have_the_same_bytes(tmp_path, monkeypatch, dtype, compression):
+    content = []
+    for name in ("thread_writers", "process_writers"):
+        way, more = getattr(shard_stage, name), {} if name == "thread_writers" else {"count": 2}
+        monkeypatch.setattr(shard_job, "shard_writers", lambda *where, way=way, more=more, **_: way(*where, **more))
+        out = tmp_path / f"{name}.zarr"
+        generate(FAMILY, GRID, 200, out, shard=8, dtype=dtype, compression=compression, device="cuda")
+        content.append({file.relative_to(out): file.read_bytes() for file in out.rglob("*") if file.is_file()})
+    assert len(content[0]) > 70
+    assert content[0] == content[1]
 
 
 def test_is_finished_and_mended_to_the_same_bits(tmp_path, monkeypatch):

@@ -9,7 +9,8 @@ import trimesh
 
 import sdm
 from sdm.cli import main
-from sdm.runtime.host_copy import HostCopy, HostRows
+from sdm.runtime.host_copy import HostCopy, HostRows, pinned
+from sdm.runtime.worker_processes.shared_memory import can_share
 
 pytestmark = pytest.mark.gpu
 
@@ -28,6 +29,14 @@ def test_copies_hold_what_was_there_when_they_were_asked_for():
     np.testing.assert_array_equal(rows.wait(), np.arange(64, dtype=np.float32)[:, None].repeat(1 << 18, 1))
 
 
+def test_memory_that_is_pinned_holds_what_comes():
+    memory, device = np.zeros(1 << 20, np.uint8), torch.device("cuda")
+    values = torch.arange(1 << 18, device=device).float()
+    with pinned(memory, device):
+        found = HostCopy(values, lambda host: host.clone(), memory=memory).wait()
+    assert torch.equal(found, values.cpu())
+
+
 @pytest.fixture
 def folder(tmp_path):
     for number in range(21):
@@ -39,8 +48,13 @@ def folder(tmp_path):
     return tmp_path / "in"
 
 
-@pytest.mark.parametrize("ending", ["npz", "nii.gz", "zarr"])
-def test_a_folder_of_maps(ending, folder, tmp_path):
+@pytest.mark.parametrize(("ending", "writers"), [("npz", 0), ("nii.gz", 0), ("zarr", 0), ("npz", 2), ("nii.gz", 2)])
+def test_a_folder_of_maps(ending, writers, folder, tmp_path, monkeypatch):
+    if writers and not can_share():
+        pytest.skip("this system has no memory without a name")
+    monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: writers)
+    # Fewer rooms than maps.
+    monkeypatch.setattr("sdm.cli.maps.map_writers.MOST_BYTES", 9 * 4 * 32**3)
     out = tmp_path / "out"
     words = ["compute", folder, "-o", out, "--format", ending, "--resolution", "32", "--device", "cuda", "--skip-bad"]
     assert main([str(word) for word in words]) == 0
