@@ -49,7 +49,7 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
 
 def planned(field: SDM, made_from: str | None = None, *, space: int = SCANNER) -> tuple[bytes, np.ndarray]:
-    """What `write_file` gets beside the path."""
+    """Arguments of `write_file` after the path."""
     return _head_and_values(_image(field, made_from, space))
 
 
@@ -97,7 +97,7 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
 
 
 def _head_and_values(image: Any) -> tuple[bytes, np.ndarray]:
-    """What is before the values of an image, with them: the bytes of nibabel's `to_stream`."""
+    """Header of an image, with all that is before its values, and these: the bytes of nibabel's `to_stream`."""
     image.update_header()
     header, values = image.header, image.dataobj
     header.set_slope_inter(1.0, 0.0)

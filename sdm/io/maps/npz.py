@@ -42,7 +42,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
 
 
 def planned(field: SDM, made_from: str | None = None) -> tuple[dict[str, Any]]:
-    """What `write_file` gets beside the path."""
+    """Arguments of `write_file` after the path."""
     kept = record(field.grid, field.ambiguous_voxels, made_from, signs_of(field))
     if kept["ambiguous_voxels"] is None:
         kept["ambiguous_voxels"] = UNCOUNTED

@@ -75,7 +75,7 @@ class WorkerProcesses:
         self.close()
 
     def call(self, *given: Any) -> Any:
-        """What the function returns, from the next process that is idle. Safe to use from several threads.
+        """Do a call in the next process that is idle, and return its value. Safe to use from several threads.
 
         Raises:
             WorkerError: The process died, whose work nobody else takes.

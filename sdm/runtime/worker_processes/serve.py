@@ -1,4 +1,4 @@
-"""What a worker process does: calls of one function, until the process that started it is gone."""
+"""Loop of a worker process: calls of one function, until the process that started it is gone."""
 
 from __future__ import annotations
 
