@@ -43,7 +43,8 @@ class HostCopy(Generic[T]):
         side.wait_stream(torch.cuda.current_stream(values.device))
         with torch.cuda.stream(side):
             self._host.copy_(values.detach(), non_blocking=True)
-            self._done = torch.cuda.Event()
+            # Threads that hand maps on are many, and would take a core each to wait for one.
+            self._done = torch.cuda.Event(blocking=memory is not None)
             self._done.record(side)
         # Its memory is not given to others before the copy has read it.
         values.record_stream(side)
@@ -120,7 +121,8 @@ class HostRows:
         side.wait_stream(torch.cuda.current_stream(self._gpu))
         with torch.cuda.stream(side):
             rows.copy_(values, non_blocking=True)
-            self._done = torch.cuda.Event()
+            # Threads that wait take no core.
+            self._done = torch.cuda.Event(blocking=True)
             self._done.record(side)
         values.record_stream(side)
 
