@@ -7,7 +7,6 @@ import struct
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -68,14 +67,6 @@ def write_archive(file: IO[bytes] | DirectFile, arrays: Mapping[str, np.ndarray]
     for piece in pieces:
         if len(piece):
             file.write(piece)
-
-
-def write_file(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write a new file of arrays; see `write_archive`."""
-    size = max(array.nbytes for array in arrays.values())
-    # A very large one is NumPy's to write, which goes back and forth in it.
-    with DirectFile(path, size) if size < MOST_BYTES // 2 else path.open("wb") as file:
-        write_archive(file, arrays)
 
 
 def _member(array: np.ndarray) -> list[bytes | memoryview]:

@@ -31,7 +31,8 @@ class Format:
         extra_maps: Memory that writing takes beyond the map on the host, in maps.
         writer: The writer's name.
         streamed: Whether the writer takes a map slab by slab, into a folder.
-        alone: Whether `write_file` of that file, of what `planned` tells of a map, writes it without torch.
+        alone: Whether `write_file` of that file, of what `planned` tells of a map, writes it without torch. Of what is
+            packed: what is only written gains nothing by processes of its own.
     """
 
     name: str
@@ -49,7 +50,7 @@ class Format:
 FORMATS = {
     "nii.gz": Format("nifti", writer="write_compressed", alone=True),
     "nii": Format("nifti"),
-    "npz": Format("npz", alone=True),
+    "npz": Format("npz"),
     "nrrd": Format("nrrd", extra_maps=1.0),
     "mha": Format("metaimage", extra_maps=1.0),
     "mhd": Format("metaimage", extra_maps=1.0),

@@ -11,7 +11,8 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.files.npz_archive import write_file
+from sdm.io.files.direct_file import DirectFile
+from sdm.io.files.npz_archive import MOST_BYTES, write_archive
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.record import (
     DISAGREEMENTS,
@@ -38,16 +39,14 @@ MOST_BESIDE = 1 << 20
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map, not compressed: distances hardly shrink."""
-    write_file(path, *planned(field, made_from))
-
-
-def planned(field: SDM, made_from: str | None = None) -> tuple[dict[str, Any]]:
-    """Arguments of `write_file` after the path."""
     kept = record(field.grid, field.ambiguous_voxels, made_from, signs_of(field))
     if kept["ambiguous_voxels"] is None:
         kept["ambiguous_voxels"] = UNCOUNTED
     arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, *KNOWN) if name in kept}
-    return ({"values": stored_values(field), **arrays},)
+    values = stored_values(field)
+    # A very large one is NumPy's to write, which goes back and forth in it.
+    with DirectFile(path, values.nbytes) if values.nbytes < MOST_BYTES // 2 else path.open("wb") as file:
+        write_archive(file, {"values": values, **arrays})
 
 
 def read(path: Path) -> SDM:
