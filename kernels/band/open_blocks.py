@@ -27,7 +27,7 @@ from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.looks.count_places import BITS
 from sdm.kernels.winding.near_caps import FULL, NEAR_LIST
 from sdm.kernels.winding.open_caps import FEW, LISTED, SETTLED, TOLERANCES
-from sdm.kernels.winding.rims.exact_voxels import open_voxel
+from sdm.kernels.winding.rims.single_voxels import open_voxel
 from sdm.kernels.winding.settled_boxes import BlockWindings, is_left, put_winding, settle_box, winding_at
 
 wp.set_module_options({"enable_backward": False})

@@ -5,8 +5,8 @@ clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_fi
 than a quarter all over a box, its whole numbers will do; where the field's error leaves no voxel in doubt, the field's
 values are taken; else its octants are looked at, down to 4^3 voxels: each octant from what the tree's descent for the
 whole box has found (`sdm.kernels.winding.cap_descent`). What the last leave in doubt is looked at again, with smaller
-tolerances (`looks.look_again`). What is in doubt even so gets the sum over all caps in float32
-(`rims.doubtful_voxels`), and what is still, that over all boundary edges in float64 (`rims.exact_voxels`), as
+tolerances (`looks.look_again`). What is in doubt even so gets the sum over all caps in float32, and what is still, that
+over all boundary edges in float64 (`rims.single_voxels`, and where boxes are listed `rims.doubtful_voxels`), as
 `boundary_term` has it: so every voxel is on the side where that is.
 
 That is the way of a GPU. A CPU has one of its own from boxes of 4^3 on (`eights.boxes_by_caps`).
@@ -38,6 +38,7 @@ from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
 from sdm.kernels.winding.looks.settle_boxes import settle_boxes
 from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
+from sdm.kernels.winding.rims.single_voxels import sum_voxels
 
 # The first boxes are the smallest ones of which there are no more than this: a GPU has to be filled, and a launch costs
 # more than looking at a box.
@@ -51,6 +52,8 @@ LAST = BITS.index(2)
 # What a node may add where boxes of 4^3 are looked at again, and once more; room for nodes and caps near such a box.
 AGAIN = 1e-5, 5e-7
 ROOM_AGAIN = ROOM
+# Voxels that these leave in doubt are listed, as long as there is room: for one of so many of a map, and for so many.
+VOXELS_OF, LEAST_VOXELS = 128, 1 << 14
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
 # Where boxes are left to the sums over all caps (`rims.doubtful_voxels`) before any look again: the size in bits of the
@@ -114,27 +117,19 @@ def open_caps(
         inputs = [caps, slab, bits, cells, level, records, *left, counts, lanes, values]
         launch(settle_boxes, settlers * lanes, inputs, device, smallest=1)
         level += 1
-    bits = BITS[level - 1]
-    for tolerance in AGAIN if bits > smallest else ():
+    bits, again = BITS[level - 1], AGAIN if BITS[level - 1] > smallest else ()
+    voxels = empty(values.size // VOXELS_OF + LEAST_VOXELS if again else 1, wp.int32)
+    for look, tolerance in enumerate(again, 1):
         boxes, left = left, lists()
-        looked = STRIDE * level + LOOKED if level == LAST + 1 else -1
-        places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, looked, STRIDE * (level + 1) + LENGTH]
-        inputs = [
-            caps,
-            slab,
-            tolerance * FULL,
-            ROOM_AGAIN,
-            cells,
-            *places,
-            *boxes,
-            *left,
-            counts,
-            stacks,
-            lanes,
-            values,
-        ]
-        launch(look_again, workers * lanes, inputs, device, smallest=1)
+        places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * level + LOOKED if look == 1 else -1]
+        places += [STRIDE * (level + 1) + LENGTH, UNSURE]
+        inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, cells, *places, int(look == len(again)), *boxes, *left]
+        launch(look_again, workers * lanes, [*inputs, voxels, counts, stacks, lanes, values], device, smallest=1)
         level += 1
-    places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, UNSURE, EXACT]
-    open_doubtful(tree, boundary, caps, 0, slab, bits, cells, fewest, *left, places, counts, values, empty)
+    if again:
+        places = [UNSURE, STRIDE * ALONE + LOOKED, EXACT]
+        sum_voxels(tree, boundary, caps, slab, voxels, places, counts, values)
+    places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
+    inputs = [tree, boundary, caps, 0, slab, bits, cells, fewest, *left, *places, counts, lanes, values]
+    launch(open_doubtful, workers * lanes, inputs, device, smallest=1)
     return counts

@@ -48,7 +48,7 @@ from sdm.kernels.winding.looks.count_places import LENGTH as OF_LISTED
 from sdm.kernels.winding.near_caps import FULL, WIDER
 from sdm.kernels.winding.octants import count_bits, is_one, octants_to_open
 from sdm.kernels.winding.open_caps import LISTED, MOST_FIRST, SETTLED, TOLERANCES, first_level
-from sdm.kernels.winding.rims.exact_voxels import place_of_voxel, without_caps
+from sdm.kernels.winding.rims.single_voxels import place_of_voxel, without_caps
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})

@@ -32,7 +32,7 @@ from sdm.kernels.winding.looks.mixed_descent import END, NODES, VOXELS, Looked, 
 from sdm.kernels.winding.looks.node_sum import node_sum
 from sdm.kernels.winding.near_caps import FULL, UNIT, near_angle
 from sdm.kernels.winding.octants import count_bits
-from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
+from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, is_whole, opened
 
 wp.set_module_options({"enable_backward": False})
 
@@ -100,6 +100,36 @@ def settle_voxels(
     return bits_of_lanes(undone)
 
 
+@wp.func
+def list_voxels(
+    voxels: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    length: int,
+    mesh: int,
+    start: wp.vec3i,
+    count: int,
+    shape: wp.vec3i,
+    stack: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """List the voxels of a box's list that are not open yet; the octants of those for which there is no room."""
+    undone = int(0)
+    k = lane
+    while k < count:
+        number = stack[VOXELS + k]
+        v = start + place_in_box(number, _BITS)
+        if is_whole(values[mesh, v[0], v[1], v[2]]):
+            place = fetch_add(counts, length, 1)
+            if place < voxels.shape[0]:
+                voxels[place] = ((mesh * shape[0] + v[0]) * shape[1] + v[1]) * shape[2] + v[2]
+            else:
+                undone = undone | (1 << octant_of(number))
+        k = k + lanes
+    return bits_of_lanes(undone)
+
+
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
 def look_again(
     begin: int,
@@ -112,10 +142,13 @@ def look_again(
     next_item: int,
     looked: int,
     length_left: int,
+    length_voxels: int,
+    last: int,
     boxes: wp.array(dtype=wp.int32),
     octants: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
     left_octants: wp.array(dtype=wp.int32),
+    voxels: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     stacks: wp.array(dtype=wp.int32),
     lanes: int,
@@ -123,7 +156,8 @@ def look_again(
 ):
     """Open what is left in listed octants of boxes of 4^3 voxels; list what is left in doubt, and with which octants.
 
-    `length`, `next_item`, `looked`, if it is not negative, and `length_left` are places of the counts.
+    The last of these looks lists voxels instead, as long as there is room. `length`, `next_item`, `looked`, if it is
+    not negative, `length_left` and `length_voxels` are places of the counts.
     """
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -166,6 +200,12 @@ def look_again(
             if doubt(found.field) < MOST_DOUBT:
                 undone = settle_voxels(
                     found, caps, box.centre, scale, slab, mesh, start, count, stack, lane, lanes, values
+                )
+            # All see what was written.
+            wait_for_lanes()
+            if last != 0 and undone != 0:
+                undone = list_voxels(
+                    voxels, counts, length_voxels, mesh, start, count, slab.shape, stack, lane, lanes, values
                 )
             if lane == 0:
                 if looked >= 0:

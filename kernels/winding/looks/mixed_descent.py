@@ -12,7 +12,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import tree_of
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient
-from sdm.kernels.primitives.lanes import GPU_LANES, ballot, members, rank, wait_for_lanes
+from sdm.kernels.primitives.lanes import GPU_LANES, ballot, members, rank, unknown, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_descent import NEAREST, rest_of, sum_of_parts
@@ -24,10 +24,10 @@ from sdm.kernels.winding.near_caps import UNIT, WIDER, place_of_cap
 wp.set_module_options({"enable_backward": False})
 
 _ROWS = MOMENTS_SIZE // 4
-# Places of a stack: nodes of the descent, up to 32 for each of 22 levels; nodes that wait until all lanes have one to
-# add; a box's voxels; the nodes for voxels from their place on, and the caps up to the end.
+# Places of a stack: nodes to open, up to 32 for each of 22 levels; far nodes that wait until all lanes have one to add;
+# a box's voxels; the nodes for voxels from their place on, and the caps up to the end.
 WAITING = 22 * GPU_LANES
-VOXELS = WAITING + 2 * GPU_LANES
+VOXELS = WAITING + 3 * GPU_LANES
 NODES = VOXELS + 64
 END = LARGE_STACK
 ROOM = END - NODES
@@ -83,9 +83,13 @@ def look_closer(
     singles = int(0)
     queued = int(0)
     wide = radius * WIDER
-    waiting = wp.min(lanes, leaves)
+    # Each lane opens a node and looks at both of its children, so that two wait for memory at once.
+    waiting = wp.min(lanes, leaves / 2)
     if lane < waiting:
         stack[lane] = waiting + lane
+    if leaves == 1:
+        waiting = int(1)
+        stack[0] = 0
     wait_for_lanes()
     while waiting + queued > 0:
         if queued >= lanes or waiting == 0:
@@ -104,17 +108,27 @@ def look_closer(
         else:
             taken = wp.min(waiting, lanes)
             waiting = waiting - taken
-            node = int(0)
+            child = int(0)
+            r0 = wp.vec4()
+            r1 = wp.vec4()
+            s0 = wp.vec4()
+            s1 = wp.vec4()
             if lane < taken:
-                node = stack[waiting + lane]
+                child = 2 * stack[waiting + lane]
+                r0 = load4(caps.moments, _ROWS * (base + child))
+                r1 = load4(caps.moments, _ROWS * (base + child) + 1)
+                s0 = load4(caps.moments, _ROWS * (base + child) + _ROWS)
+                s1 = load4(caps.moments, _ROWS * (base + child) + _ROWS + 1)
+                if child == 0:
+                    # Nothing is above the root.
+                    r1[1] = float(0.0)
             wait_for_lanes()
-            far = bool(False)
-            listed = bool(False)
-            opened = bool(False)
-            single = bool(False)
-            if node > 0:
-                r0 = load4(caps.moments, _ROWS * (base + node))
-                r1 = load4(caps.moments, _ROWS * (base + node) + 1)
+            for _child in range(unknown(2)):
+                far = bool(False)
+                listed = bool(False)
+                opened = bool(False)
+                single = bool(False)
+                # A place behind the taken ones has no area, or no roughness either.
                 if r1[1] > 0.0:
                     u = wp.vec3(r0[0], r0[1], r0[2]) - centre
                     inverse = about_inverse_root(wp.dot(u, u))
@@ -141,28 +155,29 @@ def look_closer(
                             else:
                                 filled = filled + per * r1[0]
                     if not far and not listed:
-                        opened = node < leaves
+                        opened = child < leaves
                         single = not opened
-            mask = ballot(far)
-            if far:
-                stack[WAITING + queued + rank(mask, lane)] = node
-            queued = queued + members(mask)
-            mask = ballot(listed)
-            place = nodes + rank(mask, lane)
-            if listed and place + singles < room:
-                stack[NODES + place] = node
-            nodes = nodes + members(mask)
-            mask = ballot(single)
-            place = singles + rank(mask, lane)
-            if single and nodes + place < room:
-                stack[END - 1 - place] = place_of_cap(caps, mesh, node - leaves)
-            singles = singles + members(mask)
-            mask = ballot(opened)
-            if opened:
-                place = waiting + 2 * rank(mask, lane)
-                stack[place] = 2 * node
-                stack[place + 1] = 2 * node + 1
-            waiting = waiting + 2 * members(mask)
+                mask = ballot(far)
+                if far:
+                    stack[WAITING + queued + rank(mask, lane)] = child
+                queued = queued + members(mask)
+                mask = ballot(listed)
+                place = nodes + rank(mask, lane)
+                if listed and place + singles < room:
+                    stack[NODES + place] = child
+                nodes = nodes + members(mask)
+                mask = ballot(single)
+                place = singles + rank(mask, lane)
+                if single and nodes + place < room:
+                    stack[END - 1 - place] = place_of_cap(caps, mesh, child - leaves)
+                singles = singles + members(mask)
+                mask = ballot(opened)
+                if opened:
+                    stack[waiting + rank(mask, lane)] = child
+                waiting = waiting + members(mask)
+                child = child + 1
+                r0 = s0
+                r1 = s1
             if nodes + singles > room:
                 field.error = float(wp.inf)
                 waiting = int(0)

@@ -25,22 +25,25 @@ wp.set_module_options({"enable_backward": False})
 SUMMED = 16.0 * UNIT
 
 
+# Nodes that all lanes of a group read together, and rows of four numbers between those in shared memory.
+_TILE, _STEP = 16, 9
+
+
 @wp.func_native(
     snippet=f"""
+    const float px = p.c[0], py = p.c[1], pz = p.c[2];
+    float sum = 0.0f, rest = 0.0f;
 #if defined(__CUDA_ARCH__)
+    typedef float4 Four;
     auto inverse_root = [](float x) {{ float y; asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x)); return y; }};
-    auto row_at = [](const float* row, int k) {{ return __ldg(reinterpret_cast<const float4*>(row) + k); }};
 #else
     struct Four {{ float x, y, z, w; }};
     auto inverse_root = [](float x) {{ return 1.0f / sqrtf(x); }};
-    auto row_at = [](const float* row, int k) {{ return *(reinterpret_cast<const Four*>(row) + k); }};
 #endif
-    float sum = 0.0f, rest = 0.0f;
-    for (int i = lane; i < count; i += lanes) {{
-        const float* row = moments.data + {MOMENTS_SIZE} * (size_t)(base + stack.data[at + i]);
-        const auto r0 = row_at(row, 0), r1 = row_at(row, 1), r2 = row_at(row, 2), r3 = row_at(row, 3);
-        const auto r4 = row_at(row, 4), r5 = row_at(row, 5), r6 = row_at(row, 6), r7 = row_at(row, 7);
-        const float ux = r0.x - p.c[0], uy = r0.y - p.c[1], uz = r0.z - p.c[2];
+    auto add = [&](const Four* row) {{
+        const Four r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3], r4 = row[4], r5 = row[5], r6 = row[6];
+        const Four r7 = row[7];
+        const float ux = r0.x - px, uy = r0.y - py, uz = r0.z - pz;
         const float inverse = inverse_root(ux * ux + uy * uy + uz * uz), square = inverse * inverse;
         const float x = ux * inverse, y = uy * inverse, z = uz * inverse, xx = x * x, yy = y * y, zz = z * z;
         const float d = r1.w * x + r2.x * y + r2.y * z;
@@ -59,7 +62,38 @@ SUMMED = 16.0 * UNIT
         const float next = sum + angle, added = next - sum;
         rest += (sum - (next - added)) + (angle - added);
         sum = next;
+    }};
+    const Four* from = reinterpret_cast<const Four*>(moments.data) + {MOMENTS_SIZE // 4} * (size_t)base;
+#if defined(__CUDA_ARCH__)
+    // All lanes read nodes together, some turns ahead of what they add: one by one each would wait for memory.
+    const int here = threadIdx.x & 31;
+    Four* rows = reinterpret_cast<Four*>(stack.data);
+    Four ahead[{_TILE} / 4];
+    auto read = [&](int begin) {{
+        #pragma unroll
+        for (int k = 0; k < {_TILE} / 4; ++k) {{
+            const int i = begin + 4 * k + here / 8;
+            if (i < count) ahead[k] = __ldg(from + 8 * stack.data[at + i] + here % 8);
+        }}
+    }};
+    read(0);
+    for (int begin = 0; begin < count; begin += {_TILE}) {{
+        __syncwarp();
+        #pragma unroll
+        for (int k = 0; k < {_TILE} / 4; ++k)
+            rows[{_STEP} * (4 * k + here / 8) + here % 8] = ahead[k];
+        __syncwarp();
+        read(begin + {_TILE});
+        const int end = min({_TILE}, count - begin);
+        #pragma unroll 1
+        for (int i = lane; i < end; i += lanes)
+            add(rows + {_STEP} * i);
     }}
+    __syncwarp();
+#else
+    for (int i = lane; i < count; i += lanes)
+        add(from + 8 * stack.data[at + i]);
+#endif
     return sum + rest;
 """
 )
@@ -73,5 +107,9 @@ def node_sum(
     lane: int,
     lanes: int,
 ) -> float:
-    """A lane's part of the solid angle of the caps under the nodes that are listed at a place, seen from p (scaled)."""
+    """A lane's part of the solid angle of the caps under the nodes that are listed at a place, seen from p (scaled).
+
+    All lanes of a group have to ask, of which so many neighbours share a point (`lanes`, a power of two). Nodes are
+    read by all of them to the stack's first places.
+    """
     ...

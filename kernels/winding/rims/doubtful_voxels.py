@@ -8,24 +8,18 @@ the crossings of the caps by the ray along x taken away: so every voxel is on th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.geometry.voxel_grid import Slab, unravel
-from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
     BLOCKS_PER_SM,
-    GPU_LANES,
     ballot,
     bit_at,
     bits_of_lanes,
     first_member,
     from_lane,
-    gpu_workers,
     int_from_lane,
     one_on_cpu,
     sum_of_lanes_in_double,
@@ -37,20 +31,18 @@ from sdm.kernels.winding.all_caps import cap_part
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.rims.exact_voxels import place_of_voxel, sum_exactly, without_caps
 from sdm.kernels.winding.rims.float32_sum import rim_part
+from sdm.kernels.winding.rims.single_voxels import place_of_voxel, without_caps
 from sdm.kernels.winding.settled_boxes import is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
 
-# With more edges than this a voxel is an item of work, and where float64 has to add them up it waits for a launch of
-# those: others would wait for it. There is room for one of so many voxels of a map, and for so many anyway.
+# With more edges than this a voxel is an item of work: where float64 has to add them up, others would wait for it.
 MANY = 4000
-LISTED_OF, FEWEST_LISTED = 256, 1024
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _open_doubtful(
+def open_doubtful(
     begin: int,
     tree: Tree,
     boundary: Boundary,
@@ -65,9 +57,7 @@ def _open_doubtful(
     length: int,
     next_item: int,
     looked: int,
-    listed: int,
     exact: int,
-    unsure: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     lanes: int,
     values: wp.array4d(dtype=wp.float32),
@@ -76,8 +66,8 @@ def _open_doubtful(
 
     Items of work are their octants in doubt, or some of the voxels of boxes of 2^3 where there are fewer than `fewest`,
     or edges are many.
-    `surface` is 1 if values are the crossings of the surface alone. `length`, `next_item`, `looked`, `listed` and
-    `exact` are places of the counts. What needs float64 is listed (`unsure`), as long as there is room.
+    `surface` is 1 if values are the crossings of the surface alone. `length`, `next_item`, `looked` and `exact` are
+    places of the counts.
     """
     lane = (begin + wp.tid()) % lanes
     share = int(8)
@@ -155,15 +145,6 @@ def _open_doubtful(
                     source = first_member(again)
                     again = again & (again - wp.uint32(1))
                     u = start + place_in_box(int_from_lane(k, source), 1)
-                    if unsure.shape[0] > 1:
-                        place = fetch_add_once(counts, listed, 1, lane)
-                        if place < unsure.shape[0]:
-                            if lane == 0:
-                                unsure[place] = ((mesh * slab.shape[0] + u[0]) * slab.shape[1] + u[1]) * slab.shape[
-                                    2
-                                ] + u[2]
-                                fetch_add(counts, looked, 1)
-                            continue
                     here = place_of_voxel(tree, slab, mesh, u)
                     share_there = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, here, lane, lanes))
                     last = from_lane(whole, source)
@@ -177,22 +158,3 @@ def _open_doubtful(
                 for _part in range(unknown(parts)):
                     left = left & (left - 1)
         item = fetch_add_once(counts, next_item, 1, lane)
-
-
-def open_doubtful(
-    tree: Tree, boundary: Boundary, caps: Caps, surface: int, slab: Slab, bits: int, cells: wp.vec3i, fewest: int,
-    left: wp.array, left_octants: wp.array, places: Sequence[int], counts: wp.array, values: wp.array,
-    empty: Callable[[int, Any], wp.array],
-) -> None:  # fmt: skip
-    """Launch it, and what is left to float64 where edges are many; for the arguments see there.
-
-    `places` are those of the counts. `empty(length, dtype)` allocates workspace.
-    """
-    device = values.device
-    lanes, workers = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, 16 * threads())
-    apart = boundary.count > MANY
-    unsure = empty(max(FEWEST_LISTED, values.size // LISTED_OF) if apart else 1, wp.int32)
-    inputs = [tree, boundary, caps, surface, slab, bits, cells, fewest, left, left_octants, *places]
-    launch(_open_doubtful, workers * lanes, [*inputs, unsure, counts, lanes, values], device, smallest=1)
-    if apart:
-        sum_exactly(tree, boundary, caps, surface, slab, unsure, places[-2:], counts, values)

@@ -32,7 +32,7 @@ from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.cap_field import Field, doubt, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.near_caps import FULL, UNIT
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
 from sdm.kernels.winding.rims.radial_strips import (
@@ -224,7 +224,7 @@ def open_edges(
     inputs = [tree, boundary, slab, bits, TOLERANCES[kind], cells, left, left_octants]
     inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, lanes, values]
     launch(_open_by_edges, workers * lanes, inputs, device, smallest=1)
-    places = [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, UNSURE, EXACT]
-    fewest = workers if device.is_cuda else 0
-    open_doubtful(tree, boundary, caps, 1, slab, bits, cells, fewest, left, left_octants, places, counts, values, empty)
+    inputs = [tree, boundary, caps, 1, slab, bits, cells, workers if device.is_cuda else 0, left, left_octants]
+    inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, lanes, values]
+    launch(open_doubtful, workers * lanes, inputs, device, smallest=1)
     return counts

@@ -23,8 +23,8 @@ from sdm.kernels.primitives.lanes import (
     sum_of_some,
 )
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
-from sdm.kernels.winding.rims.exact_voxels import place_of_voxel
 from sdm.kernels.winding.rims.float32_sum import rim_part
+from sdm.kernels.winding.rims.single_voxels import place_of_voxel
 from sdm.kernels.winding.settled_boxes import is_sure, is_whole, opened
 
 wp.set_module_options({"enable_backward": False})

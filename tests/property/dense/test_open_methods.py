@@ -13,7 +13,7 @@ import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums, open_caps
-from sdm.kernels.winding.rims import doubtful_voxels, edge_boxes, every_voxel
+from sdm.kernels.winding.rims import edge_boxes, every_voxel
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -99,9 +99,9 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         patch.setattr(open_caps, "AGAIN", (open_caps.AGAIN, (1e-6,), (1e-4, 1e-5))[seed % 3] if last >= 0 else ())
         patch.setattr(open_caps, "ROOM_AGAIN", (open_caps.ROOM_AGAIN, 6, 60)[seed // 3 % 3])
         patch.setattr(open_caps, "MOST_RECORDS", (open_caps.MOST_RECORDS, 5)[seed // 7 % 2])
+        patch.setattr(open_caps, "LEAST_VOXELS", (open_caps.LEAST_VOXELS, 1)[seed // 5 % 2])
         patch.setattr(open_caps, "ROOM_FOR_NEAR", (open_caps.ROOM_FOR_NEAR, (9, 9))[seed // 11 % 2])
         patch.setattr(open_caps, "SUMMED", ((last, np.inf, np.inf),) if last > 0 else ())
-        patch.setattr(doubtful_voxels, "MANY", 4000 if seed % 5 else 3)
         patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))

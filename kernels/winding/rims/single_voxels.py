@@ -1,6 +1,7 @@
-"""Voxels that no sum in float32 decides, by the sum over all boundary edges in float64: a block of threads for each.
+"""Single voxels in doubt by the sum over all caps in float32, then over all boundary edges in float64.
 
-A group of lanes took as long for one of them, with some ten thousand edges, as a GPU for all that it had done before.
+A block of threads looks at each: a group of lanes took as long for one of them, with some ten thousand caps and edges,
+as a GPU for all that it had done before.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import sum_of_lanes_in_double
+from sdm.kernels.winding.all_caps import cap_part
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.settled_boxes import is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
 
@@ -80,46 +83,56 @@ def sum_of_block(value: wp.float64) -> wp.float64:
 
 
 @wp.kernel(launch_bounds=(THREADS, 1))
-def _sum_exactly(
+def _sum_voxels(
     begin: int,
     lanes: int,
     blocks: int,
     tree: Tree,
     boundary: Boundary,
     caps: Caps,
-    surface: int,
     slab: Slab,
-    unsure: wp.array(dtype=wp.int32),
+    voxels: wp.array(dtype=wp.int32),
     listed: int,
+    looked: int,
     exact: int,
     counts: wp.array(dtype=wp.int32),
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open the voxels of a list. `surface` is 1 if values are the crossings of the surface alone; `listed` and `exact`
-    are places of the counts: how many there are, if there was room for them, and how many were added up here.
+    """Open the voxels of a list. `listed`, `looked` and `exact` are places of the counts: how many there are, if there
+    was room for them, how many were looked at here, and how many in float64.
     """
     thread = begin + wp.tid()
     lane = thread % lanes
     item = thread / lanes
-    while item < wp.min(counts[listed], unsure.shape[0]):
-        mesh, v = unravel(unsure[item], slab.shape)
+    while item < wp.min(counts[listed], voxels.shape[0]):
+        mesh, v = unravel(voxels[item], slab.shape)
         p = place_of_voxel(tree, slab, mesh, v)
-        share = sum_of_block(boundary_part(boundary, tree, mesh, p, lane, lanes))
+        whole = values[mesh, v[0], v[1], v[2]]
+        found = cap_part(caps, mesh, wp.vec3(p), lane, lanes)
+        # A few roundings for the sum of so many.
+        share = float(sum_of_block(wp.float64(found[0])))
+        error = float(sum_of_block(wp.float64(found[1])))
+        winding = whole - share
+        sure = is_sure(winding, whole, error)
+        if not sure:
+            winding = float(sum_of_block(boundary_part(boundary, tree, mesh, p, lane, lanes)))
         if lane == 0:
-            winding = values[mesh, v[0], v[1], v[2]]
-            if surface == 0:
-                winding = without_caps(tree, caps, mesh, p, winding)
-            values[mesh, v[0], v[1], v[2]] = winding + float(share)
-            fetch_add(counts, exact, 1)
+            if sure:
+                winding = opened(winding)
+            else:
+                winding = without_caps(tree, caps, mesh, p, whole) + winding
+                fetch_add(counts, exact, 1)
+            fetch_add(counts, looked, 1)
+            values[mesh, v[0], v[1], v[2]] = winding
         item = item + blocks
 
 
-def sum_exactly(
-    tree: Tree, boundary: Boundary, caps: Caps, surface: int, slab: Slab, unsure: wp.array, places: Sequence[int],
-    counts: wp.array, values: wp.array,
+def sum_voxels(
+    tree: Tree, boundary: Boundary, caps: Caps, slab: Slab, voxels: wp.array, places: Sequence[int], counts: wp.array,
+    values: wp.array,
 ) -> None:  # fmt: skip
     """Launch it; for the arguments see there."""
     device = values.device
     lanes, blocks = (THREADS, device.sm_count) if device.is_cuda else (1, threads())
-    inputs = [lanes, blocks, tree, boundary, caps, surface, slab, unsure, *places, counts, values]
-    launch(_sum_exactly, blocks * lanes, inputs, device, lanes, smallest=1)
+    inputs = [lanes, blocks, tree, boundary, caps, slab, voxels, *places, counts, values]
+    launch(_sum_voxels, blocks * lanes, inputs, device, lanes, smallest=1)
