@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -171,6 +172,13 @@ def _stock(peer: type[StockWarp], case: Case, grid: Any, device: str) -> float:
     return min(once(lambda: stock.signed_distance_map(grid), device)[0] for _ in range(2))
 
 
+def replaced(rows: list[dict[str, Any]], found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows with the one of the same mesh replaced, or with a new one."""
+    if all(each["mesh"] != found["mesh"] for each in rows):
+        return [*rows, found]
+    return [found if each["mesh"] == found["mesh"] else each for each in rows]
+
+
 def light_to_dark(count: int) -> list[Any]:
     """So many colours from light to dark."""
     from matplotlib import colormaps
@@ -215,12 +223,18 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=64, help="voxels along each axis")
     parser.add_argument("--meshes", nargs="*", help="names or files instead of all that are known here")
     parser.add_argument("--zoo", type=Path, help="folder of foreign meshes, some of which are taken too")
+    parser.add_argument("--only", nargs="*", help="parts of the names of those to take; others stay as --out has them")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
-    rows = []
+    rows: list[dict[str, Any]] = []
+    report: dict[str, Any] = {}
+    if given.only and given.out and given.out.exists():
+        rows = json.loads(given.out.read_text())["rows"]
     chosen = map(load_case, given.meshes) if given.meshes else itertools.chain(generated(), of_files(given.zoo))
     for case in chosen:
+        if given.only and not any(part in case.name for part in given.only):
+            continue
         found = row(case, given.device, given.resolution, given.runs)
         stock = f", stock Warp {found['stock_warp_ms']:.0f}" if "stock_warp_ms" in found else ""
         print(
@@ -230,12 +244,13 @@ def main() -> None:
             f"{ {k: v for k, v in found['looked_at'].items() if k != 'shares'} }",
             flush=True,
         )
-        rows.append(found)
-        report = {"machine": describe(given.device), "resolution": given.resolution, "rows": rows}
+        machine = describe(given.device)
+        rows = replaced(rows, {**found, "commit": machine["commit"]})
+        report = {"machine": machine, "resolution": given.resolution, "rows": rows}
         if given.out:
             # After each, as a run may be cut short.
             json_file.write(given.out, report)
-    if given.out and rows:
+    if given.out and report:
         draw(report, given.out.with_suffix(".png"))
 
 

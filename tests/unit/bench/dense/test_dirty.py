@@ -60,3 +60,9 @@ def test_dirty_meshes_are_meshes(name):
     assert case.faces.min() >= 0
     assert case.faces.max() < len(case.vertices)
     assert len(case) >= 9
+
+
+def test_a_row_of_the_same_mesh_is_replaced():
+    rows = [{"mesh": "a", "ratio": 1.0}, {"mesh": "b", "ratio": 2.0}]
+    assert dirty.replaced(rows, {"mesh": "a", "ratio": 3.0}) == [{"mesh": "a", "ratio": 3.0}, rows[1]]
+    assert dirty.replaced(rows, {"mesh": "c", "ratio": 4.0}) == [*rows, {"mesh": "c", "ratio": 4.0}]
