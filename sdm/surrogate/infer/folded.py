@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from sdm.runtime.threads import threads
 from sdm.surrogate.infer.weights_file import FINE_ROWS, WHOLE
-from sdm.surrogate.networks.sdmnn_plus import COARSE, FINE, LEAK, SDMNNPlus, interpolation_line, trilinear
+from sdm.surrogate.networks.sdmnn_plus import COARSE, FINE, LEAK, SDMNNPlus, interpolation_matrix, trilinear
 from sdm.surrogate.networks.voxel_shuffle import merge
 
 # Types as wide as the two coarse values, and the four voxels, of a block that are side by side along z.
@@ -61,7 +61,7 @@ class FoldedNetwork:
         last = model.last.bias.reshape(1, -1, 1, 1, 1)  # pyright: ignore[reportOptionalMemberAccess]
         self._constant = merge(model.interpolate(mean) + last, FINE).reshape(FINE * self.blocks[0], -1).clone()
         self._place = _rows(model.first(mean) + model.place).to(dtype)
-        self._lines = [_line(count) for count in self.blocks]
+        self._lines = [interpolation_matrix(count) for count in self.blocks]
         self._first = _beside(model.first.weight)
         added = model.interpolate.weight - trilinear()
         self._around = _beside(torch.cat([model.first.weight, added]).to(dtype))
@@ -159,16 +159,6 @@ def _merged(modes: Tensor, model: SDMNNPlus) -> Tensor:
 def _padded(maps: Tensor) -> Tensor:
     """With a block more at each side, as the border's."""
     return nn.functional.pad(maps, (1,) * 6, mode="replicate")
-
-
-def _line(blocks: int) -> Tensor:
-    """(4 blocks, 2 blocks): interpolation along an axis, the blocks at both ends repeated."""
-    line, matrix = interpolation_line(), torch.zeros(FINE * blocks, COARSE * blocks)
-    for block in range(blocks):
-        for column in range(3 * COARSE):
-            source = min(max(block - 1 + column // COARSE, 0), blocks - 1)
-            matrix[FINE * block : FINE * (block + 1), COARSE * source + column % COARSE] += line[:, column]
-    return matrix
 
 
 def _beside(weight: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 
@@ -35,6 +37,10 @@ class SDMNNPlus(nn.Module):
     """
 
     scale: Tensor
+    fixed: Tensor
+    by_x: Tensor
+    by_y: Tensor
+    by_z: Tensor
 
     def __init__(self, modes: int = 208, hidden: int = 256, channels: int = 48, depth: int = 1) -> None:
         super().__init__()
@@ -64,15 +70,30 @@ class SDMNNPlus(nn.Module):
         nn.init.zeros_(self.interpolate.bias)  # pyright: ignore[reportArgumentType]
         with torch.no_grad():
             self.interpolate.weight.copy_(trilinear())
+        # Not part of the state: trilinear interpolation, as weights of `interpolate` and along each axis.
+        self.register_buffer("fixed", trilinear(), persistent=False)
+        for axis, blocks in zip("xyz", self.blocks, strict=True):
+            self.register_buffer(f"by_{axis}", interpolation_matrix(blocks), persistent=False)
 
     def forward(self, theta: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of theta (B,4)."""
-        return self.both(theta)[1]
+        return self.refined(*self.interpolated(theta))
 
     def both(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """The coarse maps as `low_rank` gives them, and the maps that are made of them."""
-        coarse, *interpolated = self._interpolated(theta)
-        return coarse, self.refined(*interpolated)
+        """The coarse maps as `low_rank` gives them, and the maps of `forward` up to rounding, laid out for training.
+
+        The trilinear part of the interpolation is three products in float32. What training added to it is small enough
+        for bfloat16, and one convolution with `first`, whose input it shares.
+        """
+        with full_precision(theta):
+            state, coarse = self._begin(theta)
+            plain, gains = self._trilinear(merge(coarse, COARSE)), self._gains(state)
+        weight = torch.cat([self.first.weight, self.interpolate.weight - self.fixed])
+        bias = torch.cat([cast("Tensor", self.first.bias), cast("Tensor", self.interpolate.bias)])
+        found = nn.functional.conv3d(_padded(coarse), weight, bias)
+        begun, added = found.split([len(self.first.weight), FINE**3], 1)
+        corrections = added + self._corrections(begun, gains)
+        return coarse, plain + merge(corrections, FINE).to(plain.dtype)
 
     def interpolated(self, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Input of `refined` for theta (B,4): the part that needs float32.
@@ -81,21 +102,30 @@ class SDMNNPlus(nn.Module):
             The coarse maps (B,8,22,18,12) [mm] with their borders repeated, the refinement's gains (B,depth+1,2,C,1),
             and the maps (B,64,20,16,10) [mm] in blocks, interpolated.
         """
-        return self._interpolated(theta)[1:]
-
-    def _interpolated(self, theta: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         with full_precision(theta):
             state, coarse = self._begin(theta)
-            around = nn.functional.pad(coarse, (1,) * 6, mode="replicate")
-            plain = self.interpolate(around)
-        return coarse, around, self.film(state).reshape(theta.shape[0], len(self.middle) + 1, 2, -1, 1), plain
+            around = _padded(coarse)
+            return around, self._gains(state), self.interpolate(around)
 
     def refined(self, around: Tensor, gains: Tensor, plain: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of what `interpolated` gave: small corrections, for which bfloat16 is enough."""
-        x = _modulated(self.first(around) + self.place, gains[:, 0])
+        return merge(plain + self._corrections(self.first(around), gains).to(plain.dtype), FINE)
+
+    def _gains(self, state: Tensor) -> Tensor:
+        return self.film(state).reshape(len(state), len(self.middle) + 1, 2, -1, 1)
+
+    def _corrections(self, begun: Tensor, gains: Tensor) -> Tensor:
+        """In blocks, of the first convolution's output."""
+        x = _modulated(begun + self.place, gains[:, 0])
         for number, layer in enumerate(self.middle, 1):
             x = x + _modulated(layer(x), gains[:, number])
-        return merge(plain + self.last(x).to(plain.dtype), FINE)
+        return self.last(x)
+
+    def _trilinear(self, coarse: Tensor) -> Tensor:
+        """Maps (B,1,80,64,40) of coarse maps (B,1,40,32,20), interpolated."""
+        by_x, by_y, by_z = self.by_x, self.by_y, self.by_z
+        lines = torch.matmul(by_y, coarse[:, 0] @ by_z.t())
+        return (by_x @ lines.flatten(2)).unflatten(2, lines.shape[2:])[:, None]
 
     def coarse(self, theta: Tensor) -> Tensor:
         """Maps (B,1,40,32,20) [mm] of theta (B,4) on `COARSE_GRID`, before they are refined: a tenth of the work.
@@ -126,6 +156,11 @@ def _modulated(x: Tensor, gains: Tensor) -> Tensor:
     return nn.functional.leaky_relu(flat, LEAK).reshape(x.shape)
 
 
+def _padded(coarse: Tensor) -> Tensor:
+    """Maps in blocks with a block more at each side, as the border's."""
+    return nn.functional.pad(coarse, (1,) * 6, mode="replicate")
+
+
 class _Residual(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -143,6 +178,16 @@ def interpolation_line() -> Tensor:
         low = int(at)
         line[voxel, low], line[voxel, low + 1] = 1 - (at - low), at - low
     return line
+
+
+def interpolation_matrix(blocks: int) -> Tensor:
+    """(4 blocks, 2 blocks): interpolation along an axis, the blocks at both ends repeated."""
+    line, matrix = interpolation_line(), torch.zeros(FINE * blocks, COARSE * blocks)
+    for block in range(blocks):
+        for column in range(3 * COARSE):
+            source = min(max(block - 1 + column // COARSE, 0), blocks - 1)
+            matrix[FINE * block : FINE * (block + 1), COARSE * source + column % COARSE] += line[:, column]
+    return matrix
 
 
 def trilinear() -> Tensor:

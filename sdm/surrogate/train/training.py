@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from sdm.core.device import choose_device
 from sdm.core.random import derive_seed, generator
@@ -21,6 +22,7 @@ from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
 from sdm.surrogate.train.losses import dice_lost, eikonal, flips, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay
+from sdm.surrogate.train.recorded_step import RecordedStep
 from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin
 from sdm.surrogate.train.validation import validation_batches, validation_theta
 from sdm.surrogate.train.warm_start import warm_start
@@ -35,6 +37,8 @@ from sdm.training.weight_averages import exponential_average
 
 # Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
 RISE = 500
+# Maps that are made at a time where a step takes no fresh ones.
+FILLING = 64
 NO_CHECKPOINT = "is not a checkpoint of a training of a surrogate: remove it, or give another file"
 CHECKPOINT_FIELDS: dict[str, Any] = {
     "settings": str,
@@ -83,14 +87,20 @@ class Trainer:
             torch.manual_seed(derive_seed(settings.seed, "surrogate weights"))
             self.model = begin(settings).to(self.device)
         self.ema = exponential_average(self.model, settings.ema)
-        self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
+        self._average = get_ema_multi_avg_fn(settings.ema)
+        on_gpu = self.device.type == "cuda"
+        # On a GPU a step is recorded, so that its learning rate is on the device too.
+        rate = torch.zeros((), device=self.device) if on_gpu else 0.0
+        self._optimizer = torch.optim.AdamW(
+            _groups(self.model, rate), weight_decay=0.0, fused=on_gpu, capturable=on_gpu
+        )
         self.step, spent = 0, 0.0
         static = settings.recipe == "static"
         stream = SDMStream(
             self.family,
             GRID,
             # A batch of which the 625 are a multiple, so that each is there once.
-            5 if static else max(1, settings.fresh),
+            5 if static else settings.fresh or FILLING,
             settings.seed,
             0,
             1,
@@ -108,7 +118,8 @@ class Trainer:
         if self.device.type == "cuda":
             self.model.to(memory_format=layout(use=True))  # pyright: ignore[reportCallIssue]
             torch.backends.cudnn.benchmark = True
-        self._fast: Any = torch.compile(self._loss) if self.device.type == "cuda" else self._loss
+        self._fast: Any = torch.compile(self._loss) if on_gpu else self._loss
+        self._recorded: RecordedStep | None = None
 
     def run(self) -> nn.Module:
         """Train to the end and return the running mean of the model, on the device, in evaluation mode.
@@ -137,24 +148,44 @@ class Trainer:
 
     def _train(self, share: float) -> Tensor:
         settings = self.settings
+        factor = settings.rate * warmup_cosine(share) * linear_warmup(self.step + 1, RISE)
         for group in self._optimizer.param_groups:
-            group["lr"] = settings.rate * group["share"] * warmup_cosine(share) * linear_warmup(self.step + 1, RISE)
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(factor * group["share"])
+            else:
+                group["lr"] = factor * group["share"]
         if self._fresh:
             self.replay.renew()
         rows = self.replay.draw(settings.batch_size, self.step, round(settings.hard * settings.batch_size))
         theta, exact = self.replay.at(rows)
-        with bfloat16(self.device, self.device.type == "cuda" and not settings.float32):
-            loss, lost = self._fast(theta, exact)
-        self.replay.lost[rows] = lost
         if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
             random = generator(settings.seed, "surrogate directions", self.step)
+            loss, lost = self._update(theta, exact, random)
+        elif self.device.type == "cuda":
+            self._recorded = self._recorded or RecordedStep(self._update, (theta, exact))
+            loss, lost = self._recorded(theta, exact)
+        else:
+            loss, lost = self._update(theta, exact)
+        self.replay.lost[rows] = lost
+        return loss
+
+    def _update(self, theta: Tensor, exact: Tensor, random: torch.Generator | None = None) -> tuple[Tensor, Tensor]:
+        """Move the weights by a batch, with the Sobolev term if there are random numbers for it.
+
+        Returns:
+            The loss, and how much each shape (B,) loses of the Dice coefficient.
+        """
+        settings = self.settings
+        with bfloat16(self.device, self.device.type == "cuda" and not settings.float32):
+            loss, lost = self._fast(theta, exact)
+        if random is not None:
             loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], random).sqrt()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self._optimizer.step()
-        self.ema.update_parameters(self.model)
-        return loss
+        self._average(list(self.ema.module.parameters()), list(self.model.parameters()), None)
+        return loss.detach(), lost
 
     def _loss(self, theta: Tensor, exact: Tensor) -> tuple[Tensor, Tensor]:
         """The loss of a batch, and how much each shape (B,) loses of the Dice coefficient."""
@@ -231,8 +262,9 @@ class Trainer:
         return float(state["seconds"])
 
 
-def _groups(model: nn.Module) -> list[dict[str, Any]]:
-    """Parameters with their share of the learning rate: what a decomposition has set moves slowly."""
+def _groups(model: nn.Module, rate: Tensor | float) -> list[dict[str, Any]]:
+    """Parameters with their learning rate and its share: what a decomposition has set moves slowly."""
     slow = [p for name, p in model.named_parameters() if name in ("modes", "mean", "place")]
     quick = [p for name, p in model.named_parameters() if name not in ("modes", "mean", "place")]
-    return [{"params": quick, "share": 1.0}] + ([{"params": slow, "share": 0.1}] if slow else [])
+    groups = [{"params": quick, "share": 1.0}] + ([{"params": slow, "share": 0.1}] if slow else [])
+    return [{**group, "lr": rate.clone() if isinstance(rate, Tensor) else rate} for group in groups]
