@@ -4,10 +4,12 @@
 
 Meshes of fewer triangles are quicker, and further from the mesh of 20,000 that all are compared with; a decomposition
 (POD with Chebyshev polynomials) is quicker with fewer modes; the shipped network has one point for each runtime that is
-installed. All methods take turns, shape by shape and round by round, on one core, and times are medians of processor
-time, so that a machine that does other work tells the same as an idle one. The error is the mean over the voxels within
-0.5 mm of the surface, of some shapes that no training has seen. Results:
-bench/results/surrogate-error-time.json and docs/surrogate-error-time.png.
+installed. libigl is timed on the coarsest mesh too whose error is no larger than the network's: the record says how
+many times as quick the network is, by torch, as libigl on the reference mesh and there. All methods take turns, shape
+by shape and round by round, on one core, and times are medians of processor time, so that a machine that does other
+work tells nearly the same as an idle one. Errors are means over all voxels, and over those within 0.5 mm of the
+surface, of some shapes that no training has seen. Results: bench/results/surrogate-error-time.json and
+docs/surrogate-error-time.png.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import importlib.util
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +43,14 @@ from sdm.surrogate.infer.runtime import available, runner
 from sdm.surrogate.train.map_buffer import Replay
 from sdm.surrogate.train.validation import validation_theta
 
-TRIANGLES = (500, 1250, 3000, 4000, 7000, 20_000)
+TRIANGLES = (500, 1250, 3000, 7000, 20_000)
+REFERENCE = TRIANGLES[-1]
+# Steps by which meshes grow until one has no larger error than the network.
+FINER = 250
 MODES = (16, 32, 64, 128, 256)
 NEAR_MM = 0.5
+# What a row has of errors: means over the voxels within NEAR_MM of the surface, and over all.
+ERRORS = ("mae_near_mm", "mae_mm")
 # The first 16 of the validation set are the corners of the box.
 CORNERS = 16
 POD_SEED = 77
@@ -69,7 +76,12 @@ def main() -> None:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     torch.set_num_threads(1)
     theta = validation_theta(Cochlea(), CORNERS + options.shapes)[CORNERS:]
-    rows = measured(methods(options), theta, options.rounds)
+    found = networks(options.weights)
+    equal = coarsest(found["SDMNN+", "torch"], theta)
+    if options.pod:
+        found |= decompositions(options)
+    found |= by_meshes(sorted({*TRIANGLES, *equal.values()}))
+    rows = measured(found, theta, options.rounds)
     record = {
         "machine": describe("cpu", PACKAGES),
         "clock": "processor time of one core",
@@ -77,49 +89,110 @@ def main() -> None:
         "rounds": options.rounds,
         "pod_maps": options.pod,
         "pod_degree": options.degree,
+        "times_libigl_by_torch": times_libigl(rows, equal),
         "rows": rows,
     }
     write(options.out, record)
     draw(record, options.picture)
     cells = [[r["method"], r["of"], f"{r['ms']:.2f}", f"{r['mae_near_mm']:.5f}", f"{r['mae_mm']:.5f}"] for r in rows]
+    for error, at in record["times_libigl_by_torch"].items():
+        print(f"libigl on {at['triangles']:,} triangles ({error}) takes {at['times']} times as long as SDMNN+ by torch")
     print(markdown_table(["method", "of", "ms", "error near the surface [mm]", "everywhere [mm]"], cells))
 
 
-def methods(options: argparse.Namespace) -> dict[tuple[str, str], Method]:
-    """By curve and the name of its point."""
+def networks(weights: Path | None) -> dict[tuple[str, str], Method]:
+    """SDMNN+ by each runtime that is installed."""
+    file = weights or shipped_weights()
+    if file is None:
+        raise SystemExit("there are no shipped weights here: name some by --weights")
+    model = load_weights(file)[0].eval()
+    return {("SDMNN+", backend): runner(model, backend, 1) for backend in available()}
+
+
+def decompositions(options: argparse.Namespace) -> dict[tuple[str, str], Method]:
+    """One POD by its first modes."""
+    whole = decomposition(options.pod, options.degree, options.maps)
+    return {("POD + Chebyshev", f"{modes} modes"): quiet(first_modes(whole, modes)) for modes in MODES}
+
+
+def by_meshes(counts: Iterable[int]) -> dict[tuple[str, str], Method]:
+    """The exact engine and libigl on meshes of so many triangles."""
     found: dict[tuple[str, str], Method] = {}
-    file = options.weights or shipped_weights()
-    if file is not None:
-        model = load_weights(file)[0].eval()
-        for backend in available():
-            found["SDMNN+", backend] = runner(model, backend, 1)
-    if options.pod:
-        whole = decomposition(options.pod, options.degree, options.maps)
-        for modes in MODES:
-            found["POD + Chebyshev", f"{modes} modes"] = quiet(first_modes(whole, modes))
-    for triangles in TRIANGLES:
+    for triangles in counts:
         family = Cochlea(triangles)
-        found["exact engine", f"{triangles:,} triangles"] = exact(family)
+        found["exact engine", named(triangles)] = exact(family)
         if importlib.util.find_spec("igl") is not None:
             for peer in (LibiglWinding(), LibiglPseudonormal()):
-                found[peer.name, f"{triangles:,} triangles"] = by_peer(peer, family)
+                found[peer.name, named(triangles)] = by_peer(peer, family)
+    return found
+
+
+def named(triangles: int) -> str:
+    return f"{triangles:,} triangles"
+
+
+def coarsest(network: Method, theta: Tensor) -> dict[str, int]:
+    """Triangles of the coarsest meshes whose maps are no further from the reference's than the network's.
+
+    Two counts, by the error of a row that is compared.
+    """
+    wanted = truth(theta)
+    limits, found = errors_of(network, theta, wanted), {}
+    for triangles in range(TRIANGLES[0], REFERENCE + 1, FINER):
+        own = errors_of(exact(Cochlea(triangles)), theta, wanted)
+        for error, limit, mean in zip(ERRORS, limits, own, strict=True):
+            if mean <= limit:
+                found.setdefault(error, triangles)
+        if len(found) == len(ERRORS):
+            break
+    return found
+
+
+def truth(theta: Tensor) -> list[Tensor]:
+    method = exact(Cochlea())
+    return [method(row[None]) for row in theta]
+
+
+def errors_of(method: Method, theta: Tensor, wanted: list[Tensor]) -> tuple[float, float]:
+    """Means over shapes of the mean error near the surface and everywhere [mm]."""
+    near, all_ = zip(
+        *(_errors(method(row[None]), right) for row, right in zip(theta, wanted, strict=True)), strict=True
+    )
+    return statistics.fmean(near), statistics.fmean(all_)
+
+
+def _errors(values: Tensor, right: Tensor) -> tuple[float, float]:
+    error = (values - right).abs()
+    return float(error[right.abs() < NEAR_MM].mean()), float(error.mean())
+
+
+def times_libigl(rows: list[dict[str, Any]], equal: dict[str, int]) -> dict[str, Any]:
+    """libigl's time, by the quicker of its signs, over that of SDMNN+ by plain torch.
+
+    On the reference mesh, whose maps are the truth here, and on the coarsest meshes that are no worse than the network
+    by each of the two errors.
+    """
+    ours = next(row["ms"] for row in rows if (row["method"], row["of"]) == ("SDMNN+", "torch"))
+    found = {}
+    for name, triangles in {"reference": REFERENCE, **equal}.items():
+        own = [row["ms"] for row in rows if row["method"].startswith("libigl") and row["of"] == named(triangles)]
+        if own:
+            found[name] = {"triangles": triangles, "times": round(min(own) / ours, 1)}
     return found
 
 
 def measured(found: dict[tuple[str, str], Method], theta: Tensor, rounds: int) -> list[dict[str, Any]]:
     """A row for each method; its first call is not timed, nor those by which quick ones have their caches filled."""
-    truth = exact(Cochlea())
-    wanted = [truth(row[None]) for row in theta]
-    near = [(w.abs() < NEAR_MM) for w in wanted]
+    wanted = truth(theta)
     times: dict[tuple[str, str], list[float]] = {key: [] for key in found}
     errors: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in found}
     quick: dict[tuple[str, str], bool] = {}
     for key, method in found.items():
-        for row, right, shell in zip(theta, wanted, near, strict=True):
+        for row, right in zip(theta, wanted, strict=True):
             start = time.process_time()
-            error = (method(row[None]) - right).abs()
+            values = method(row[None])
             quick[key] = time.process_time() - start < QUICK_S
-            errors[key].append((float(error[shell].mean()), float(error.mean())))
+            errors[key].append(_errors(values, right))
     for turn in range(rounds):
         for row in theta:
             for key, method in found.items():
@@ -135,8 +208,7 @@ def measured(found: dict[tuple[str, str], Method], theta: Tensor, rounds: int) -
             "of": key[1],
             "ms": round(statistics.median(times[key]), 3),
             "least_ms": round(min(times[key]), 3),
-            "mae_near_mm": statistics.fmean(e[0] for e in errors[key]),
-            "mae_mm": statistics.fmean(e[1] for e in errors[key]),
+            **dict(zip(ERRORS, map(statistics.fmean, zip(*errors[key], strict=True)), strict=True)),
         }
         for key in found
     ]

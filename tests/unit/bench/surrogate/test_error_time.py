@@ -25,6 +25,21 @@ def test_rows_have_times_and_errors_and_can_be_drawn(tmp_path, monkeypatch):
     assert (tmp_path / "picture.png").stat().st_size > 1000
 
 
+def test_the_coarsest_mesh_that_is_no_worse(monkeypatch):
+    monkeypatch.setattr(error_time, "REFERENCE", 2000)
+    theta = Cochlea().sample(1, device="cpu")
+    equal = error_time.coarsest(error_time.exact(Cochlea(1250)), theta)
+    assert set(equal) == set(error_time.ERRORS)
+    assert all(1000 < triangles <= 1250 for triangles in equal.values())
+    rows = [
+        {"method": "SDMNN+", "of": "torch", "ms": 2.0},
+        {"method": "libigl winding number", "of": "1,250 triangles", "ms": 300.0},
+        {"method": "libigl pseudonormal", "of": "1,250 triangles", "ms": 201.0},
+    ]
+    found = error_time.times_libigl(rows, {"mae_mm": 1250})
+    assert found == {"mae_mm": {"triangles": 1250, "times": 100.5}}
+
+
 def test_fewer_modes_of_a_decomposition():
     whole = PODChebyshev(3, 1)
     whole.weights, whole.modes = torch.randn(5, 3), torch.randn(3, GRID.size)
