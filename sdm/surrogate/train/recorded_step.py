@@ -29,7 +29,8 @@ class RecordedStep:
                 work(*self._inputs)
         current.wait_stream(side)
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph):
+        # Other threads go on with what they do.
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
             self._results = work(*self._inputs)
 
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
