@@ -44,7 +44,8 @@ class Settings(TrainingSettings):
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
         batch_size: Maps of a step.
-        fresh: New maps made by the engine in each step; the others are drawn from the store of the latest.
+        fresh: New maps made by the engine in each step; the others are drawn from the store of the latest. 0: the store
+            is filled before the first step, and that is all.
         store: Maps kept on the device, 0.4 MB each.
         fill_share: Share of the budget in which the store is filled before the first step.
         warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.

@@ -66,7 +66,7 @@ def sdmnn(
         budget_s: Seconds of training at most; the learning rate follows the clock.
         steps: Steps of training at most, if that is sooner.
         batch_size: Maps of a step.
-        fresh: New maps in each step; the others of a batch are drawn from the latest.
+        fresh: New maps in each step; the others of a batch are drawn from the latest. 0: all are made before the first.
         store: How many of the latest maps are kept, 0.4 MB each on the device.
         fill_share: Share of the seconds in which the store is filled first.
         warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
