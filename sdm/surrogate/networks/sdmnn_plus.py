@@ -112,7 +112,7 @@ class SDMNNPlus(nn.Module):
         return merge(plain + self._corrections(self.first(around), gains).to(plain.dtype), FINE)
 
     def _gains(self, state: Tensor) -> Tensor:
-        return self.film(state).reshape(len(state), len(self.middle) + 1, 2, -1, 1)
+        return self.film(state).reshape(state.shape[0], len(self.middle) + 1, 2, -1, 1)
 
     def _corrections(self, begun: Tensor, gains: Tensor) -> Tensor:
         """In blocks, of the first convolution's output."""
