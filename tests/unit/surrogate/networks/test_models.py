@@ -44,6 +44,16 @@ def test_a_batch_is_its_samples(name):
         assert (both[0] - both[1]).abs().max() > 1e-3
 
 
+def test_the_maps_in_training_are_those_of_the_network():
+    model, theta = small("sdmnn-plus"), Cochlea().sample(2, seed=4, device="cpu")
+    torch.nn.init.normal_(model.interpolate.weight, std=0.1)
+    torch.nn.init.normal_(model.mean)
+    with torch.no_grad():
+        coarse, maps = model.both(theta)
+        torch.testing.assert_close(maps, model(theta), atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(merge(coarse, 2), model.coarse(theta))
+
+
 @pytest.mark.parametrize("name", SMALL)
 def test_the_derivative_by_theta_is_that_of_the_map(name):
     # The networks have kinks (pooling, activations): steps are small enough to cross few, in double precision.
