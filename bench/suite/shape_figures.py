@@ -83,8 +83,8 @@ SHAPE_FIGURES: tuple[tuple[str, str, str, Callable[[Any], Sequence[Any]]], ...] 
     (
         SURROGATE,
         (
-            "{:.0f} times on the reference mesh, {:.0f} times on {:,} triangles, and {:.0f} times on {:,}, which are no "
-            "worse in the mean"
+            "{:.0f} times on the reference mesh, {:.0f} times on {:,} triangles, and {:.0f} times on {:,}, which are "
+            "no worse in the mean"
         ),
         "surrogate-error-time-epyc",
         lambda r: _times_libigl(r["times_libigl_by_torch"]),
