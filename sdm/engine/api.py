@@ -34,7 +34,6 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points, search_needs_tree_alone
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.runtime import graphs
-from sdm.runtime.host_copy import number_later
 from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import current_device, has_forward_mode, refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
@@ -149,14 +148,15 @@ def signed_distance_map(
     refuse_forward_mode(mesh.vertices)
     with memory_guard(nbytes, where, partial(described, grid)):
         if method.is_default:
-            values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
-            field = SDM(values, grid, 0, sign="winding")
+            field, ambiguous = mesh_map(
+                mesh.vertices, mesh.faces, grid, partial(SDM, grid=grid, ambiguous_voxels=0, sign="winding")
+            )
         else:
             ambiguous = None
             field = SDM(unsigned_mesh_map(mesh.vertices, mesh.faces, grid), grid, sign="none")
     if ambiguous is not None:
         # Of an open mesh the host does not wait either.
-        field.counted_later(number_later(ambiguous))
+        field.counted_later(ambiguous)
     return checked(MapCheck(), field, measured)
 
 
@@ -172,15 +172,17 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
     where = vertices.device
     if device is not None and device != where and (device != "cuda" or where.index != current_device()):
         return None
+
+    def make(values: Tensor) -> SDM:
+        field, check = SDM(values, grid, 0, sign="winding"), one_check(mesh, "winding")
+        return field if check is None else field.checked_by(check)
+
     try:
-        values, ambiguous = mesh_map(vertices, mesh.faces, grid)
+        field, ambiguous = mesh_map(vertices, mesh.faces, grid, make)
     except torch.OutOfMemoryError:
         with memory_guard(nbytes, where, partial(described, grid)):
             raise
-    field, check = SDM(values, grid, 0, sign="winding"), one_check(mesh, "winding")
-    if ambiguous is not None:
-        field.counted_later(number_later(ambiguous))
-    return field if check is None else field.checked_by(check)
+    return field if ambiguous is None else field.counted_later(ambiguous)
 
 
 @overload

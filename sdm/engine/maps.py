@@ -11,8 +11,9 @@ the map is thrown away and made anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -38,6 +39,7 @@ from sdm.kernels.dense.plan import memory_of
 from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import Join, beside
+from sdm.runtime.host_copy import number_later
 from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
@@ -45,6 +47,8 @@ from sdm.topology.cap_triangles import turned
 from sdm.topology.face_pairing import Pairing, is_known, pairing_of, queue_pairing, remember_closed
 from sdm.topology.same_boundary import can_be_told, note_ends, queue_comparison
 
+# What is made of a map.
+T = TypeVar("T")
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
 # Whether meshes never seen before are replayed by capacity class.
@@ -94,18 +98,23 @@ def is_recordable(vertices: Tensor, nbytes: int) -> bool:
     return vertices.is_cuda and nbytes <= LARGEST_RECORDED and graphs.supports(vertices)
 
 
-def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None]:
-    """The map (nx,ny,nz) of a recordable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
+def mesh_map(
+    vertices: Tensor, faces: Tensor, grid: Grid, make: Callable[[Tensor], T]
+) -> tuple[T, Callable[[], int] | None]:
+    """What `make` makes of the map (nx,ny,nz) of a recordable mesh, while the device is at work if it is a first map.
+
+    And what tells how many voxels are ambiguous, None for a closed mesh.
+    """
     vertices, count = vertices.detach() if vertices.requires_grad else vertices, vertices.shape[0]
     if is_known(faces, count):
-        return _unpacked(_known_maps(vertices[None], faces, grid))
+        return _made(make, _known_maps(vertices[None], faces, grid))
     last, kind = guesses.last_numbers(faces, count), None
     # Also of one that has as many as a mesh without room had, but looks closed.
     fits = last is guesses.CLOSED or (last is not None and has_room(last))
     if USE_CLASSES and (fits or looks_closed(faces.shape[0], count)):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None:
-        replayed = class_map(*kind, vertices, faces, grid)
+        replayed = class_map(*kind, vertices, faces, grid, make)
         if replayed is not None:
             return replayed
     guessed = guesses.guess(faces, count)
@@ -129,8 +138,8 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     found, was_guessed = graphs.speculate(_guessed_call(guessed, vertices, faces, grid), settle)
     if was_guessed and guessed == guesses.CLOSED:
         remember_closed(faces, count, found[1])
-        return found[0][0], None
-    return _unpacked(found)
+        return make(found[0][0]), None
+    return _made(make, found)
 
 
 def index_map(structure: AccelerationStructure, grid: Grid) -> tuple[Tensor, Tensor]:
@@ -208,8 +217,8 @@ def _unmoved_call(vertices: Tensor, faces: Tensor, grid: Grid, pairing: Pairing,
     return Call(key, partial(_queue_unmoved_maps, grid), (*call.inputs, *ends))
 
 
-def _unpacked(found: tuple[Tensor, ...]) -> tuple[Tensor, Tensor | None]:
-    return found[0][0], found[1] if len(found) > 1 else None
+def _made(make: Callable[[Tensor], T], found: tuple[Tensor, ...]) -> tuple[T, Callable[[], int] | None]:
+    return make(found[0][0]), number_later(found[1]) if len(found) > 1 else None
 
 
 def _known_call(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Call:

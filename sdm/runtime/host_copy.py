@@ -60,16 +60,20 @@ class HostCopy(Generic[T]):
         return self._make(self._host)
 
 
-def number_later(number: Tensor) -> Callable[[], int]:
-    """A function that reads a tensor of one number, which waits for the work of the stream that is current now."""
-    if number.device.type != "cuda":
-        return partial(int, number)
-    return partial(_number_by, torch.cuda.current_stream(number.device), number)
+def number_later(numbers: Tensor, at: int = 0) -> Callable[[], int]:
+    """A function that reads one number of a tensor (n,), which waits for the work of the stream that is current now."""
+    if numbers.device.type != "cuda":
+        return partial(_number, numbers, at)
+    return partial(_number_by, torch.cuda.current_stream(numbers.device), numbers, at)
 
 
-def _number_by(stream: torch.cuda.Stream, number: Tensor) -> int:
+def _number(numbers: Tensor, at: int) -> int:
+    return int(numbers[at])
+
+
+def _number_by(stream: torch.cuda.Stream, numbers: Tensor, at: int) -> int:
     with torch.cuda.stream(stream):
-        return int(number)
+        return int(numbers[at])
 
 
 def numbers_of(values: Tensor) -> Callable[[], list[int]]:

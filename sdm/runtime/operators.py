@@ -50,6 +50,8 @@ def differentiate(name: str, backward: Callable[..., Any], setup_context: Callab
     torch.library.register_autograd(f"sdm::{name}", backward, setup_context=setup_context, lib=_LIBRARY)
 
 
+# Without the looks for them at each call; compilers know the function itself.
+is_compiling = torch.compiler.is_compiling
 _PLAIN = (Tensor, torch.nn.Parameter)
 
 
@@ -58,13 +60,12 @@ def is_eager(*tensors: Tensor) -> bool:
 
     Then an operator's implementation may be called directly.
     """
-    if torch.compiler.is_compiling() or _len_torch_dispatch_stack() > 0 or maybe_current_level() is not None:
+    if is_compiling() or _len_torch_dispatch_stack() > 0 or maybe_current_level() is not None:
         return False
-    gradients = torch.is_grad_enabled()
     # A generator takes as long as all before.
     for tensor in tensors:  # noqa: SIM110
         # Subclasses only look like tensors.
-        if type(tensor) not in _PLAIN or (gradients and tensor.requires_grad):
+        if type(tensor) not in _PLAIN or (tensor.requires_grad and torch.is_grad_enabled()):
             return False
     return True
 

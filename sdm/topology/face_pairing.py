@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -16,12 +17,6 @@ from sdm.errors import MeshError
 from sdm.kernels.topology.edge_pairing import FLAGS, pair_edges
 from sdm.kernels.topology.edge_table import pair_by_table
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
-
-# Of faces seen before, with the state in which they were seen: a stream asks about the same ones for every batch.
-_known: WeakIdKeyDictionary = WeakIdKeyDictionary()
-# Objects that may be among them, by their number, so that of most others it is known at once.
-_numbers: set[int] = set()
-IDLE_NUMBERS = 1 << 12
 
 
 @dataclass
@@ -42,6 +37,19 @@ class Pairing:
     edges: Tensor | None = None
     same: Tensor | None = None
     ready: torch.cuda.Event | None = None
+
+
+class _Known(NamedTuple):
+    """What was found for faces, or makes it, and the state in which they were seen."""
+
+    faces: Callable[[], Tensor | None]
+    state: tuple[int, int] | None
+    pairing: Pairing | Callable[[], Pairing]
+
+
+# Of faces seen before, by their identity while they live, so that of others it is known at once: a stream asks about
+# the same ones for every batch.
+_known: dict[int, _Known] = {}
 
 
 def neighbours(faces: Tensor, count: int) -> Tensor:
@@ -68,11 +76,9 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
     Raises:
         MeshError: A face index out of range.
     """
-    found: Pairing
-    now, known = state_of(faces, count), _known.get(faces)
-    if known is not None and now is not None and known[0] == now:
-        found = known[1]
-    else:
+    found = _known_pairing(faces, count)
+    if found is None:
+        now = state_of(faces, count)
         found = _pair_up(faces, count)
         _remember(faces, now, found)
     ready = found.ready
@@ -88,22 +94,38 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
 
 def is_known(faces: Tensor, count: int) -> bool:
     """True if these faces were paired before, so that nothing has to wait for their pairing."""
-    if id(faces) not in _numbers:
-        return False
-    now, known = state_of(faces, count), _known.get(faces)
-    return known is not None and now is not None and known[0] == now
+    return id(faces) in _known and _known_pairing(faces, count) is not None
 
 
-def remember_closed(faces: Tensor, count: int, around: Tensor, ready: torch.cuda.Event | None = None) -> None:
+def _known_pairing(faces: Tensor, count: int) -> Pairing | None:
+    known = _known.get(id(faces))
+    if known is None or known.faces() is not faces:
+        return None
+    now = state_of(faces, count)
+    if now is None or known.state != now:
+        return None
+    pairing = known.pairing
+    if not isinstance(pairing, Pairing):
+        pairing = pairing()
+        _known[id(faces)] = known._replace(pairing=pairing)
+    return pairing
+
+
+def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
     """Remember of faces that none of their edges is unmatched, and their neighbours (F,4).
 
-    The neighbours may still be under way on the current stream of their device: other streams wait when they ask, for
-    `ready` if there is such an event.
+    The neighbours may still be under way on the current stream of their device: other streams wait when they ask.
     """
-    if ready is None and around.is_cuda:
+    ready = None
+    if around.is_cuda:
         ready = torch.cuda.Event()
         ready.record(torch.cuda.current_stream(around.device))
-    remember(faces, count, Pairing(_no_edges(faces.device), around, ready=ready))
+    remember(faces, count, closed_pairing(around, ready))
+
+
+def closed_pairing(around: Tensor, ready: torch.cuda.Event | None) -> Pairing:
+    """The pairing of faces none of whose edges is unmatched: their neighbours (F,4) are there by `ready`."""
+    return Pairing(_no_edges(around.device), around, ready=ready)
 
 
 @lru_cache(maxsize=16)
@@ -118,13 +140,21 @@ def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
     _remember(faces, state_of(faces, count), pairing)
 
 
-def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing) -> None:
-    global _numbers  # noqa: PLW0603
-    _known[faces] = state, pairing
-    _numbers.add(id(faces))
-    if len(_numbers) > 2 * len(_known) + IDLE_NUMBERS:
-        # Most of them are gone.
-        _numbers = {id(other) for other in list(_known)}
+def remember_later(faces: Tensor, count: int, make: Callable[[], Pairing]) -> None:
+    """`remember` what is made when somebody first asks: views of tensors take the host as long as launches."""
+    _remember(faces, state_of(faces, count), make)
+
+
+def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing | Callable[[], Pairing]) -> None:
+    number = id(faces)
+    _known[number] = _Known(weakref.ref(faces, partial(_forget, number)), state, pairing)
+
+
+def _forget(number: int, gone: Any) -> None:
+    """Faces are gone; another object may have their number by now."""
+    known = _known.get(number)
+    if known is not None and known.faces is gone:
+        del _known[number]
 
 
 def queue_pairing(

@@ -11,8 +11,8 @@ from sdm.runtime.graphs import TableCall
 
 def by_table(call: TableCall) -> tuple[Any, list[int], int]:
     """Results of a call, all numbers that it told, and how many of these are no flags."""
-    table = torch.full((call.length,), torch.nan, dtype=torch.float64)
-    results = call.fill(table.numpy())
+    table = torch.full((call.of.length,), torch.nan, dtype=torch.float64)
+    results = call.fill(table.numpy(), call.of.new())
     said: list[int] = []
     told = 0
 
@@ -21,5 +21,5 @@ def by_table(call: TableCall) -> tuple[Any, list[int], int]:
         said.extend(flags.tolist())
         told = count
 
-    call.work(verify, table)
+    call.of.work(verify, table)
     return results if call.launched is None else call.launched(results), said, told

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
-from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
+from sdm.engine.capacity.classes import CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
@@ -28,7 +28,7 @@ from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
-from sdm.runtime.graphs import TableCall, Verify
+from sdm.runtime.graphs import TableCall, TableWork, Verify
 from sdm.runtime.graphs.branches import WINDING, Join, beside, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
@@ -40,24 +40,55 @@ Key: TypeAlias = tuple[str, CapacityClass, int]
 TELLING = 1
 # Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
 LARGE = 1 << 27
+# Results that a recording may have for the next calls, bytes of them, and most faces of meshes in question: of others a
+# map takes longer than to ask for its memory.
+MOST_SPARE, SPARE, MOST_SPARE_FACES = 4, 1 << 22, 20480
+
+
+class Told(NamedTuple):
+    """What a mesh's faces say, as a recording of a class tells it: parts that are looked at when somebody asks.
+
+    Args:
+        memory: All of it, int32 in a row.
+        faces: Of the mesh.
+        room: Of an open class, for edges; 0 of a closed one.
+    """
+
+    memory: Tensor
+    faces: int
+    room: int
+
+    @property
+    def neighbours(self) -> Tensor:
+        """(F,4) int32, those of the mesh's faces."""
+        return self.memory[: 4 * self.faces].view(self.faces, 4)
+
+    @property
+    def unmatched(self) -> Tensor:
+        """(room,3) int32, of an open class: its unmatched edges come first."""
+        return self.memory[4 * self.faces :][: 3 * self.room].view(self.room, 3)
+
+    @property
+    def boundary(self) -> Tensor:
+        """Of an open class, the memory of an `OpenBoundary`."""
+        return self.memory[4 * self.faces + 3 * self.room : self.last]
+
+    @property
+    def ambiguous(self) -> Tensor:
+        """(1,) int32, of an open class: voxels that are."""
+        return self.memory[self.last :][:1]
+
+    @property
+    def last(self) -> int:
+        """Where that is."""
+        return 4 * self.faces + _told_behind(self.room) - 1
 
 
 class ClassMap(NamedTuple):
-    """Results of a recording of a class.
+    """Results of a recording of a class."""
 
-    Args:
-        values: (nx,ny,nz), the map.
-        neighbours: (F,4) int32, those of the mesh's faces.
-        ambiguous: (1,) int32, of an open class: voxels that are.
-        unmatched: (room,3) int32, of an open class: its unmatched edges come first.
-        boundary: Of an open class, the memory of an `OpenBoundary`.
-    """
-
-    values: Tensor
-    neighbours: Tensor
-    ambiguous: Tensor | None = None
-    unmatched: Tensor | None = None
-    boundary: Tensor | None = None
+    values: Tensor  # (nx,ny,nz), the map
+    told: Told
 
 
 def class_key(kind: CapacityClass, room: int = 0) -> Key:
@@ -65,68 +96,72 @@ def class_key(kind: CapacityClass, room: int = 0) -> Key:
     return "open class" if room else "class", kind, room
 
 
+class Given(NamedTuple):
+    """A mesh as recordings read it by address, with its numbers, and the grid of its map."""
+
+    vertices: Tensor  # (V,3) float32, contiguous
+    faces: Tensor  # (F,3) int32, contiguous
+    grid: Grid
+    count: int  # vertices
+    total: int  # faces
+    device: torch.device
+
+    @classmethod
+    def of(cls, vertices: Tensor, faces: Tensor, grid: Grid) -> Given:
+        """The mesh of such tensors."""
+        return cls(vertices, faces, grid, vertices.shape[0], faces.shape[0], faces.device)
+
+
 def class_call(
     kind: CapacityClass,
     decisions: Decisions,
-    vertices: Tensor,
-    faces: Tensor,
-    grid: Grid,
+    given: Given,
+    room: int = 0,
     instead: Instead | None = None,
-) -> TableCall[ClassMap]:
-    """The call that makes the map of a mesh, if it is closed: `vertices` (V,3) and `faces` (F,3) are contiguous.
+    launched: Callable[[ClassMap], Any] | None = None,
+) -> TableCall[Any]:
+    """The call that makes the map of a mesh, if it is closed, or with `room` open by up to as many edges.
 
-    The flags are of a vertex out of range, twice, and the number of unmatched edges. `instead`: of a `TableCall`.
+    The flags are of a vertex out of range, twice, and the number of unmatched edges. With room for unmatched and for
+    boundary edges they are those of `boundary_loops.join_edges`, and behind them the numbers of both. `instead`,
+    `launched`: of a `TableCall`.
     """
-    device, count = faces.device, faces.shape[0]
+    vertices, faces, grid, count, total, device = given
 
-    def fill(table: Any) -> ClassMap:
-        # Of the inputs' types and device: fewer words for torch to read.
-        values, neighbours = vertices.new_empty(kind.shape), faces.new_empty((count, 4))
-        at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), 0, neighbours.data_ptr()
-        write_table(table, kind, decisions, count, vertices.shape[0], grid, at)
-        return ClassMap(values, neighbours)
-
-    key, work, later = _of_class(kind, device, 0)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, instead)
-
-
-def open_class_call(
-    kind: CapacityClass,
-    decisions: Decisions,
-    vertices: Tensor,
-    faces: Tensor,
-    grid: Grid,
-    instead: Instead | None = None,
-    room: int = MOST_EDGES,
-) -> TableCall[ClassMap]:
-    """The same of a mesh that is open by up to `room` unmatched and boundary edges, or by none.
-
-    The flags are those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
-    """
-    device, count = faces.device, faces.shape[0]
-    lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
-
-    def fill(table: Any) -> tuple[Tensor, Tensor]:
-        values, told = vertices.new_empty(kind.shape), faces.new_empty(sum(lengths))
+    def fill(table: Any, new: tuple[Tensor, Tensor | None]) -> ClassMap:
+        values, told = new
+        length = 4 * total + _told_behind(room)
+        if told is None:
+            told = faces.new_empty(length)
         at = told.data_ptr()
-        places = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), at + 4 * sum(lengths[:-1]), at
-        write_table(table, kind, decisions, count, vertices.shape[0], grid, places)
-        return values, told
+        # The last number is that of the ambiguous voxels, which a closed mesh has not.
+        places = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), at + 4 * length - 4, at
+        write_table(table, kind, decisions, total, count, grid, places)
+        return ClassMap(values, Told(told, total, room))
 
-    def launched(filled: tuple[Tensor, Tensor]) -> ClassMap:
-        values, told = filled
-        neighbours, unmatched, boundary, ambiguous = told.split(lengths)
-        return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(room, 3), boundary)
+    return TableCall(_work_of(kind, device, room), fill, (vertices, faces), instead, launched)
 
-    key, work, later = _of_class(kind, device, room)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, instead, launched)
+
+def _told_behind(room: int) -> int:
+    """Numbers that are told behind those of faces."""
+    return 3 * room + OpenBoundary.length(room) + 1 if room else 0
 
 
 @lru_cache(maxsize=256)
-def _of_class(kind: CapacityClass, device: torch.device, room: int) -> tuple[Key, Callable[..., None], int]:
-    """Key and work of a class's call, and by how many calls its recording is made later."""
+def _work_of(kind: CapacityClass, device: torch.device, room: int) -> TableWork:
+    """What the calls of a class have in common, about closed meshes or open ones with room for so many edges."""
     work = partial(_queue_open_map, kind, room, device) if room else partial(_queue_closed_map, kind, device)
-    return class_key(kind, room), work, int(4 * math.prod(kind.shape) > LARGE)
+    key, nbytes = class_key(kind, room), 4 * math.prod(kind.shape)
+    # What is told is remembered: of few faces it does no harm if there is room for more.
+    told = 4 * kind.most + _told_behind(room) if kind.most <= MOST_SPARE_FACES else 0
+    spare = min(MOST_SPARE, SPARE // (nbytes + 4 * told)) if told else 0
+    new = partial(_new_results, kind.shape, told, device)
+    return TableWork(key, work, device, TABLE, key[0], new, spare, int(nbytes > LARGE))
+
+
+def _new_results(shape: tuple[int, int, int], told: int, device: torch.device) -> tuple[Tensor, Tensor | None]:
+    values = torch.empty(shape, dtype=torch.float32, device=device)
+    return values, torch.empty(told, dtype=torch.int32, device=device) if told else None
 
 
 class _Mesh(NamedTuple):

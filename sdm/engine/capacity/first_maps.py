@@ -8,23 +8,28 @@ vertex for each two edges of its rim. The recording for open meshes serves close
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Generic, NamedTuple, TypeVar
 
+import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine.capacity.class_calls import ClassMap, class_call, class_key, open_class_call
+from sdm.engine.capacity.class_calls import ClassMap, Given, Told, class_call, class_key
 from sdm.engine.capacity.classes import MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.kernels.dense.plan import Decisions, memory_of
 from sdm.kernels.topology.boundary_loops import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.runtime import graphs
+from sdm.runtime.host_copy import number_later
 from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.cap_triangles import remember_joined
-from sdm.topology.face_pairing import Pairing, remember, remember_closed
+from sdm.topology.face_pairing import Pairing, closed_pairing, remember_later
 
+# What is made of a map.
+T = TypeVar("T")
 # Twice the vertices less the faces: of closed meshes 4 for each part, and 4 less for each handle. A mesh with more is
 # more likely one with holes, whose edges add up to that, and so is one with another number than a multiple of 4.
 MOST_OF_CLOSED = 12
@@ -42,22 +47,28 @@ def has_room(numbers: guesses.Guess) -> bool:
 
 
 def class_map(
-    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
-) -> tuple[Tensor, Tensor | None] | None:
-    """The map (nx,ny,nz) of a mesh of a class, and if it is open how many voxels are ambiguous (1,).
+    kind: CapacityClass,
+    decisions: Decisions,
+    vertices: Tensor,
+    faces: Tensor,
+    grid: Grid,
+    make: Callable[[Tensor], T],
+) -> tuple[T, Callable[[], int] | None] | None:
+    """What `make` makes of the map (nx,ny,nz) of a mesh of a class, and if it is open what counts its ambiguous voxels.
 
-    None if there is no recording for it, or if it is none that these serve. Else its topology is remembered.
+    None if there is no recording for it, or if it is none that these serve. Else its topology is remembered. `make` is
+    called while the device is at work, and again if that turns out to have been in vain.
     """
     # What recordings read by address.
-    given = vertices.contiguous(), faces.contiguous(), grid
-    count, total, device = vertices.shape[0], faces.shape[0], faces.device
+    given = Given.of(vertices.contiguous(), faces.contiguous(), grid)
+    _, _, _, count, total, device = given
     # Until the launch no more than it takes.
     edges = min(2 * count - total, MANY_EDGES)
     if looks_closed(total, count):
-        found, said = _attempt(class_call, kind, decisions, 0, given)
+        found, said = _attempt(kind, decisions, 0, given, make)
         if found is not None:
-            remember_closed(faces, count, found.neighbours, graphs.last_launch(device))
-            return found.values, None
+            remember_later(faces, count, partial(_closed_pairing, found.told, graphs.last_launch(device)))
+            return found.made, None
         # Flags of `class_call`.
         if said and (said[0] or said[1]):
             return None
@@ -69,38 +80,56 @@ def class_map(
         # A recording for many edges is made for meshes that have them.
         if edges > room or (edges <= MOST_EDGES < room):
             continue
-        found, said = _attempt(partial(open_class_call, room=room), kind, decisions, room, given)
+        found, said = _attempt(kind, decisions, room, given, make)
         if found is not None:
-            return found.values, _remember(count, faces, found, room, *said[-2:])
+            return found.made, _remember_open(faces, count, found.told, *said[-2:])
         edges = max([room + 1, *said[-2:]]) if said else edges
         if said and (said[WRONG_VERTEX] or not (said[WRONG_UNMATCHED] or said[WRONG_EDGES])):
             return None
     return None
 
 
+class _Found(NamedTuple, Generic[T]):
+    """What was made of a map, and what its mesh's faces say."""
+
+    made: T
+    told: Told
+
+
 def _attempt(
-    make: Any, kind: CapacityClass, decisions: Decisions, room: int, given: tuple[Tensor, Tensor, Grid]
-) -> tuple[ClassMap | None, list[int]]:
+    kind: CapacityClass, decisions: Decisions, room: int, given: Given, make: Callable[[Tensor], T]
+) -> tuple[_Found[T] | None, list[int]]:
     """Result of a class's recording; of that of a larger class, if there is one, until its own is worth the time."""
 
+    def launched(found: ClassMap) -> _Found[T]:
+        return _Found(make(found.values), found.told)
+
     def of_larger() -> Any:
-        device = given[0].device
-        for larger in larger_classes(kind, decisions, given[2], memory_of(warp_name(device))):
+        device = given.device
+        for larger in larger_classes(kind, decisions, given.grid, memory_of(warp_name(device))):
             if graphs.is_recorded(device, class_key(larger, room)):
-                return make(larger, decisions, *given)
+                return class_call(larger, decisions, given, room, launched=launched)
         return None
 
-    return graphs.attempt_by_table(make(kind, decisions, *given, instead=of_larger))
+    return graphs.attempt_by_table(class_call(kind, decisions, given, room, of_larger, launched))
 
 
-def _remember(vertices: int, faces: Tensor, found: ClassMap, room: int, rows: int, edges: int) -> Tensor | None:
-    """Remember the topology of faces that were just found open, and give the ambiguous voxels."""
+def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:
+    return closed_pairing(told.neighbours, ready)
+
+
+def _remember_open(faces: Tensor, count: int, told: Told, rows: int, edges: int) -> Callable[[], int] | None:
+    """Remember the topology of faces that were just found open, and give what counts the ambiguous voxels."""
     ready = graphs.last_launch(faces.device)
-    if rows == 0 or found.unmatched is None or found.boundary is None:
-        remember_closed(faces, vertices, found.neighbours, ready)
+    if rows == 0:
+        remember_later(faces, count, partial(_closed_pairing, told, ready))
         return None
-    pairing = Pairing(found.unmatched[:rows], found.neighbours, ready=ready)
-    remember(faces, vertices, pairing)
-    remember_joined(pairing, *OpenBoundary.joined(found.boundary, room, edges))
-    guesses.remember_numbers(faces, vertices, guesses.Guess(rows, edges))
-    return found.ambiguous if edges else None
+    remember_later(faces, count, partial(_open_pairing, told, rows, edges, ready))
+    guesses.remember_numbers(faces, count, guesses.Guess(rows, edges))
+    return number_later(told.memory, told.last) if edges else None
+
+
+def _open_pairing(told: Told, rows: int, edges: int, ready: torch.cuda.Event | None) -> Pairing:
+    pairing = Pairing(told.unmatched[:rows], told.neighbours, ready=ready)
+    remember_joined(pairing, *OpenBoundary.joined(told.boundary, told.room, edges))
+    return pairing

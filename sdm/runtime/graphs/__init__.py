@@ -22,6 +22,7 @@ from sdm.runtime.graphs.graph_cache import CALLS
 from sdm.runtime.graphs.replay import (
     Call,
     TableCall,
+    TableWork,
     attempt,
     attempt_by_table,
     clear,
@@ -39,6 +40,7 @@ __all__ = [
     "CALLS",
     "Call",
     "TableCall",
+    "TableWork",
     "Verify",
     "Work",
     "attempt",

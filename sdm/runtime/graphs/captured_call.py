@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -27,6 +28,10 @@ Finish: TypeAlias = Callable[[Tensors], "Tensors | None"]
 
 MOST_FLAGS = 8
 PENDING = -1
+_ALL_PENDING = memoryview(array("i", MOST_FLAGS * [PENDING]))
+# Looks at the numbers told before the host asks the driver to wait: of a small map they come within that time, and to
+# ask takes as long as some kernels.
+LOOKS = 2000
 
 
 def unverified(flags: Tensor, told: int = 0) -> None:
@@ -48,7 +53,7 @@ class Recording:
         self._verified = torch.cuda.Event(external=True)
         self._flags = torch.zeros(MOST_FLAGS, dtype=torch.int32, pin_memory=True)
         # The same memory: the host writes and reads a few numbers.
-        self._said = self._flags.numpy()
+        self._said = memoryview(self._flags.numpy())
 
     def _record(self, queue: Callable[[], None]) -> None:
         """Make the graph of what `queue` queues, in memory that goes with the graph."""
@@ -69,6 +74,8 @@ class Recording:
             finally:
                 self._graph.capture_end()
         self._pool.nbytes += max(0, torch.cuda.memory_reserved() - before)
+        # Without torch's method around it.
+        self._replay = super(torch.cuda.CUDAGraph, self._graph).replay
 
     def _place(self) -> Tensor:
         """A tensor without content on the device."""
@@ -87,8 +94,14 @@ class Recording:
         """
         if not self._guesses:
             return True, []
-        self._verified.synchronize()
         said = self._said[: self._count].tolist()
+        looks = LOOKS
+        while PENDING in said and looks:
+            said = self._said[: self._count].tolist()
+            looks -= 1
+        if PENDING in said:
+            self._verified.synchronize()
+            said = self._said[: self._count].tolist()
         if PENDING in said:
             # A driver that does not take launches into account: the results' own event comes last.
             self._pool.finish()
@@ -145,10 +158,10 @@ class CapturedCall(Recording):
                 given.record_stream(stream)
                 self._held.copied(index, given)
         if self._guesses:
-            self._said[: self._count] = PENDING
+            self._said[: self._count] = _ALL_PENDING[: self._count]
         # The first result, if it is a map, is written to the slot's new tensor; the others are copied.
         values = self._slot.new_output()
-        self._graph.replay()
+        self._replay()
         if finish is not None:
             return finish(self._results)
         first = () if values is None else (values,)
@@ -161,13 +174,17 @@ class Table(NamedTuple):
     Args:
         device: Of the work.
         length: In numbers of 8 bytes.
-        fill: Writes it, and gives the new tensors whose addresses are in it.
+        new: Makes the tensors that results go to, the same for all calls of a recording.
+        spare: How many of these may be kept for the next calls.
+        fill: Writes the table, and gives the results, with those tensors whose addresses are in it.
         family: Works of one family launch the same kernels, or nearly.
     """
 
     device: torch.device
     length: int
-    fill: Callable[[Any], Any]
+    new: Callable[[], Any]
+    spare: int
+    fill: Callable[[Any, Any], Any]
     family: str
 
 
@@ -188,9 +205,12 @@ class TableRecording(Recording):
 
     def __init__(self, pool: MemoryPool, work: Work, table: Table) -> None:
         super().__init__(pool, table.device)
+        self._index = table.device.index
+        self._new, self._most_spare = table.new, table.spare
+        self._spare: list[Any] = []
         with _plain(table.device):
             self._table = _pinned(table.length)
-            self._room = self._table.numpy()
+            self._room = memoryview(self._table.numpy())
             queue = partial(self._queue_own, work)
             if (table.device, table.family) not in _loaded:
                 _do_once(work, table)
@@ -208,14 +228,14 @@ class TableRecording(Recording):
     def _queue_own(self, work: Work) -> None:
         work(self._verify, self._table)
 
-    def launch(self, fill: Callable[[Any], Any], reads: Tensors) -> Any:
-        """Queue the work on the current stream: what `fill` gives, new tensors, which the work will fill.
+    def launch(self, fill: Callable[[Any, Any], Any], reads: Tensors) -> Any:
+        """Queue the work on the current stream: what `fill` gives, with new tensors, which the work will fill.
 
         Args:
             fill: Writes the table.
             reads: The tensors whose addresses it writes and which are read.
         """
-        index = self._device.index
+        index = self._index
         if index != current_device():
             with torch.cuda.device(self._device):
                 return self.launch(fill, reads)
@@ -223,28 +243,35 @@ class TableRecording(Recording):
             if self._said[0] == PENDING:
                 # A launch that nobody waited for: it still may have to read the table.
                 self.guessed_right()
-            self._said[: self._count] = PENDING
-        results = fill(self._room)
+            self._said[: self._count] = _ALL_PENDING[: self._count]
+        pool, spare = self._pool, self._spare
+        # Tensors are another stream's until it has done what was queued when they were made.
+        by_default = raw_stream(index) == 0
+        results = fill(self._room, spare.pop() if spare and by_default else self._new())
         # What need not come before the launch comes after it.
         stream = None
-        if not (self._pool.is_in_order and raw_stream(index) == 0):
+        if not (by_default and pool.is_in_order):
             stream = torch.cuda.current_stream(index)
-            self._pool.begin_launch(stream)
+            pool.begin_launch(stream)
         try:
-            self._pool.launches += 1
-            self._graph.replay()
+            pool.launches += 1
+            self._replay()
         finally:
             stream = stream or torch.cuda.current_stream(index)
             for given in reads:
                 given.record_stream(stream)
-            self._pool.end_launch(stream)
+            pool.end_launch(stream)
+        if by_default and not spare:
+            # Several at a time, while the device is at work: to ask torch for the first one takes the host as long as a
+            # launch, as other work has emptied the processor's caches since.
+            spare += [self._new() for _ in range(self._most_spare)]
         return results
 
 
 def _do_once(work: Work, table: Table) -> None:
     """Load what is loaded on first use, by the work with a table of its own."""
     once = _pinned(table.length)
-    results = table.fill(once.numpy())
+    results = table.fill(memoryview(once.numpy()), table.new())
     work(unverified, once)
     # Nobody else knows that the device reads it.
     torch.cuda.current_stream().synchronize()

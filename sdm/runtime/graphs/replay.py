@@ -88,8 +88,8 @@ class Call:
     finish: Finish | None = None
 
 
-class TableCall(NamedTuple, Generic[R]):
-    """A call whose recording serves calls that differ in more than what their tensors hold.
+class TableWork(NamedTuple):
+    """What calls by table have in common that one recording serves.
 
     Args:
         key: Calls with equal keys do the same with tables of the same length.
@@ -97,23 +97,38 @@ class TableCall(NamedTuple, Generic[R]):
             GPU. Results go where the table says.
         device: Of the work.
         length: Of the table, in numbers of 8 bytes.
-        fill: Writes the table, an array of the host, and gives the new tensors whose addresses are in it.
-        reads: The tensors that the work reads by address.
         family: Works of one family launch the same kernels, or nearly.
+        new: Makes the tensors that results go to.
+        spare: How many of these may be kept for the next calls.
         later: By how many calls a recording is made later than before the first.
-        instead: Gives a call whose recording is there and serves this one too, until it has come so often that a
-            recording of its own is worth the time; or None.
-        launched: Makes the results of what `fill` gave, while the device is at work.
     """
 
     key: Hashable
     work: Work
     device: torch.device
     length: int
-    fill: Callable[[Any], Any]
-    reads: Tensors
     family: str
+    new: Callable[[], Any]
+    spare: int = 0
     later: int = 0
+
+
+class TableCall(NamedTuple, Generic[R]):
+    """A call whose recording serves calls that differ in more than what their tensors hold.
+
+    Args:
+        of: What it has in common with those.
+        fill: Writes the table, memory of the host, with the addresses of new tensors, and gives the results.
+        reads: The tensors that the work reads by address.
+        instead: Gives a call whose recording is there and serves this one too, until it has come so often that a
+            recording of its own is worth the time; or None.
+        launched: Makes the results of what `fill` gave, while the device is at work: they may turn out to rest on a
+            wrong guess.
+    """
+
+    of: TableWork
+    fill: Callable[[Any, Any], Any]
+    reads: Tensors
     instead: Callable[[], TableCall[R] | None] | None = None
     launched: Callable[[Any], R] | None = None
 
@@ -189,16 +204,16 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
 
     None and no numbers if there is none; None if the recording's guess was wrong.
     """
+    of, instead = call.of, None
     with _lock:
-        cache = _cache_of(call.device)
-        captured = cache.find(call.key)
-        instead = None
+        cache = _caches.get(of.device) or _cache_of(of.device)
+        captured = cache.find(of.key)
         if captured is None:
             instead = None if call.instead is None else call.instead()
-            table = Table(call.device, call.length, call.fill, call.family)
-            later = call.later + (PATIENCE if instead else 0)
-            cache.count(call.key, call.work, table, for_many=True, capture=TableRecording, later=later)
-            captured = cache.find(call.key)
+            table = Table(of.device, of.length, of.new, of.spare, call.fill, of.family)
+            later = of.later + (PATIENCE if instead else 0)
+            cache.count(of.key, of.work, table, for_many=True, capture=TableRecording, later=later)
+            captured = cache.find(of.key)
     if captured is None and instead is not None:
         return attempt_by_table(instead)
     if not isinstance(captured, TableRecording):

@@ -34,8 +34,8 @@ def went(monkeypatch):
     monkeypatch.setattr(maps, "USE_CLASSES", True)
 
     def attempt(call):
-        log.append(call.key[0])
-        if not graphs.is_recorded(call.device, call.key):
+        log.append(call.of.key[0])
+        if not graphs.is_recorded(call.of.device, call.of.key):
             log[-1] += " is not there"
             other = call.instead() if call.instead else None
             return (None, []) if other is None else attempt(other)
@@ -74,10 +74,10 @@ def _closed():
 
 def _map(mesh):
     vertices, faces = mesh
-    values, ambiguous = maps.mesh_map(vertices, faces, GRID)
+    values, ambiguous = maps.mesh_map(vertices, faces, GRID, torch.clone)
     expected = sdm.MeshIndex((vertices, faces.clone()), "cpu", warn=False).signed_distance_map(GRID)
     assert torch.equal(values, expected.values)
-    assert (0 if ambiguous is None else int(ambiguous)) == expected.ambiguous_voxels
+    assert (0 if ambiguous is None else ambiguous()) == expected.ambiguous_voxels
     assert is_known(faces, len(vertices))
 
 
@@ -143,20 +143,20 @@ def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
 
 def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, monkeypatch):
     rooms = []
-    plain = first_maps.open_class_call
+    plain = first_maps.class_call
     monkeypatch.setattr(
         first_maps,
-        "open_class_call",
-        lambda *given, room, **more: rooms.append(room) or plain(*given, room=room, **more),
+        "class_call",
+        lambda kind, decisions, given, room, *more: rooms.append(room) or plain(kind, decisions, given, room, *more),
     )
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
     vertices, faces = (torch.from_numpy(array) for array in torus(3000))
     torn_up = faces[::2].contiguous()
     assert MOST_EDGES < len(boundary_edges(vertices, torn_up.clone())) <= MANY_EDGES
     expected = sdm.MeshIndex((vertices, torn_up.clone()), "cpu", warn=False).signed_distance_map(GRID)
-    values, ambiguous = maps.mesh_map(vertices, torn_up, GRID)
+    values, ambiguous = maps.mesh_map(vertices, torn_up, GRID, torch.clone)
     assert torch.equal(values, expected.values)
-    assert int(ambiguous) == expected.ambiguous_voxels
+    assert ambiguous() == expected.ambiguous_voxels
     assert rooms[-1] == MANY_EDGES
     assert "settle" not in went
 
@@ -167,16 +167,18 @@ def test_a_vertex_out_of_range_is_refused(went, monkeypatch):
         for vertices, faces in (_open(), _closed()):
             faces[3, 1] = len(vertices)
             with pytest.raises(MeshError, match="uses vertex"):
-                maps.mesh_map(vertices, faces, GRID)
+                maps.mesh_map(vertices, faces, GRID, torch.clone)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05])
 def test_a_mesh_with_few_edges_goes_to_a_class_without_caps_first(went, monkeypatch, share):
     monkeypatch.setitem(every_voxel.MOST_SUMS, "cpu", LEAST_FEW * GRID.size)
     few = []
-    plain = first_maps.open_class_call
+    plain = first_maps.class_call
     monkeypatch.setattr(
-        first_maps, "open_class_call", lambda *given, room, **more: few.append(room) or plain(*given, room=room, **more)
+        first_maps,
+        "class_call",
+        lambda kind, decisions, given, room, *more: few.append(room) or plain(kind, decisions, given, room, *more),
     )
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
     mesh = tuple(torch.from_numpy(array) for array in torn(torus(400), share))

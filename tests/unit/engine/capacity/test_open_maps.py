@@ -11,7 +11,7 @@ from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
 from sdm.engine.capacity import open_boundary
-from sdm.engine.capacity.class_calls import open_class_call
+from sdm.engine.capacity.class_calls import Given, class_call
 from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
@@ -75,9 +75,9 @@ def _grid(vertices, turned=False):
 
 def _class_map(vertices, faces, grid, room=MOST_EDGES):
     kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, numbers, told = by_table(open_class_call(kind, decisions, vertices, faces, grid, room=room))
+    found, numbers, told = by_table(class_call(kind, decisions, Given.of(vertices, faces, grid), room))
     assert told == len(numbers) - FLAGS
-    return found, OpenBoundary.of_memory(found.boundary, room), numbers
+    return found, OpenBoundary.of_memory(found.told.boundary, room), numbers
 
 
 def _same(mesh, grid, room=MOST_EDGES):
@@ -88,11 +88,11 @@ def _same(mesh, grid, room=MOST_EDGES):
     assert numbers[:FLAGS] == [0] * FLAGS
     assert numbers[-1] == len(edges)
     assert torch.equal(boundary.edges[: len(edges)], edges)
-    assert torch.equal(found.neighbours, neighbours(faces, len(vertices)))
+    assert torch.equal(found.told.neighbours, neighbours(faces, len(vertices)))
     assert torch.equal(found.values, expected.values)
-    assert found.ambiguous.tolist() == [expected.ambiguous_voxels]
+    assert found.told.ambiguous.tolist() == [expected.ambiguous_voxels]
     rows = numbers[FLAGS]
-    assert sorted(found.unmatched[:rows].tolist()) == sorted(pairing_of(faces, len(vertices)).unmatched.tolist())
+    assert sorted(found.told.unmatched[:rows].tolist()) == sorted(pairing_of(faces, len(vertices)).unmatched.tolist())
     return numbers
 
 
