@@ -63,7 +63,7 @@ def is_eager(*tensors: Tensor) -> bool:
     if is_compiling() or _len_torch_dispatch_stack() > 0 or maybe_current_level() is not None:
         return False
     # A generator takes as long as all before.
-    for tensor in tensors:  # noqa: SIM110
+    for tensor in tensors:
         # Subclasses only look like tensors.
         if type(tensor) not in _PLAIN or (tensor.requires_grad and torch.is_grad_enabled()):
             return False

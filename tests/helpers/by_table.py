@@ -11,8 +11,8 @@ from sdm.runtime.graphs import TableCall
 
 def by_table(call: TableCall) -> tuple[Any, list[int], int]:
     """Results of a call, all numbers that it told, and how many of these are no flags."""
-    table = torch.full((call.of.length,), torch.nan, dtype=torch.float64)
-    results = call.fill(table.numpy(), call.of.new())
+    table = torch.zeros(call.of.length, dtype=torch.float64)
+    results = call.fill(memoryview(table.numpy()), call.of.new())
     said: list[int] = []
     told = 0
 

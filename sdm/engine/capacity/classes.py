@@ -11,7 +11,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from sdm.core.grid import IDENTITY, Grid
@@ -20,6 +20,7 @@ from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_large_leaves, shares_of, uneven_room
 from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, joint_plan, make_plan
+from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION, REGION_SHARES, SLAB_ROW, SPACING, VOXEL
 from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding.cap_tree import depth_of_caps
 from sdm.kernels.winding.rims.every_voxel import MOST_SUMS
@@ -67,6 +68,14 @@ class CapacityClass:
     def sizes(self) -> PairSizes:
         """Sizes of the structure of both, if the mesh is closed."""
         return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + 2)
+
+    @cached_property
+    def row_of_none(self) -> list[float]:
+        """The row of a slab without voxels, behind another."""
+        none: list[float] = [0.0] * SLAB_ROW
+        none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), math.prod(self.shape), self.plan.total
+        none[REGION_SHARES], none[CELL_SHARES] = self.plan.region_shares, self.plan.cell_shares
+        return none
 
     def few_edges(self, device: str) -> int:
         """Room for boundary edges that are so few that each voxel gets the sum over them, on `"cuda"` or `"cpu"`.

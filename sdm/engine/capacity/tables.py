@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +14,7 @@ from sdm.core.grid import Grid
 from sdm.engine.capacity.classes import CapacityClass
 from sdm.kernels.bvh.tree import PART_SIZE, depth_for
 from sdm.kernels.dense.plan import Decisions
-from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION, REGION_SHARES, SLAB_ROW, SPACING, VOXEL, Slab
+from sdm.kernels.geometry.voxel_grid import AXES, CELL_SHARES, REGION_SHARES, SLAB_ROW, Slab
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS
 from sdm.runtime.torch_warp import as_warp
@@ -25,11 +24,14 @@ from sdm.runtime.torch_warp import as_warp
 _ROWS = 2 * SLAB_ROW
 _NUMBERS = COUNTS + 2 * PART_SIZE
 TABLE = _ROWS + ADDRESSES + -(-_NUMBERS // 2)
-_FORMAT = struct.Struct(f"={_ROWS}d{ADDRESSES}q{_NUMBERS}i")
+# Behind origin and spacing of the mesh's row: what is nearly always the same for all meshes of a class.
+_SAME_AT = AXES
+_PLACE, _SAME = struct.Struct(f"={_SAME_AT}d"), struct.Struct(f"={_ROWS - _SAME_AT}d")
+_REST, _REST_AT = struct.Struct(f"={ADDRESSES}q{_NUMBERS}i"), 8 * _ROWS
 
 
 def write_table(
-    table: Any,
+    table: memoryview,
     kind: CapacityClass,
     decisions: Decisions,
     faces: int,
@@ -40,7 +42,7 @@ def write_table(
     """Write what kernels read about a mesh and its grid.
 
     Args:
-        table: Memory of TABLE numbers of 8 bytes.
+        table: Memory of TABLE numbers of 8 bytes: zeros, or what was written about another mesh of the class.
         kind: The class.
         decisions: About the mesh's map.
         faces: Of the mesh.
@@ -48,23 +50,20 @@ def write_table(
         grid: Of the map.
         addresses: Where its arrays are, and where results go, see `sdm.kernels.topology.filler_faces`.
     """
-    # Few calls, as the host's way to the launch is much of a small map's time.
-    axes = _ALONG
-    if kind.turned:
-        axes = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
-    of_kind = kind.__dict__.get("_table") or _of_kind(kind)
+    # Few numbers, as the host's way to the launch is much of a small map's time.
+    shares = decisions.region_shares, decisions.cell_shares
+    if kind.turned or (table[REGION_SHARES], table[CELL_SHARES]) != shares:
+        axes = [0.0] * 9
+        if kind.turned:
+            axes = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
+        # In the order of a row: its slab's first layer, voxel and region are the first of all. Behind it is the row of
+        # a grid without voxels.
+        _SAME.pack_into(table, 8 * _SAME_AT, *axes, *grid.shape, *(0, 0, 0), *shares, *kind.row_of_none)
+    _PLACE.pack_into(table, 0, *grid.origin, *grid.spacing)
     depth = depth_for(faces)
-    _FORMAT.pack_into(
+    _REST.pack_into(
         table,
-        0,
-        # In the order of a row: its slab's first layer, voxel and region are the first of all.
-        *grid.origin,
-        *grid.spacing,
-        *axes,
-        *grid.shape,
-        *(0, 0, 0, decisions.region_shares, decisions.cell_shares),
-        # A grid without voxels, behind the other.
-        *of_kind,
+        _REST_AT,
         *addresses,
         *(faces, vertices),
         # In the order of a part: first slot, triangles, depth, first node, levels that are left out.
@@ -72,19 +71,6 @@ def write_table(
         # Of the faces behind there is a tree of the first alone, as nobody looks for any.
         *(faces, 1, 0, 2 << depth, 0),
     )
-
-
-_ALONG = (0.0,) * 9
-
-
-def _of_kind(kind: CapacityClass) -> list[float]:
-    """The row of the grid without voxels, the same for all meshes of a class."""
-    none: list[float] = [0.0] * SLAB_ROW
-    none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), math.prod(kind.shape), kind.plan.total
-    none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
-    # It goes with the class.
-    kind.__dict__["_table"] = none
-    return none
 
 
 def split_table(table: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

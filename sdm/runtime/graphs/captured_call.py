@@ -176,7 +176,8 @@ class Table(NamedTuple):
         length: In numbers of 8 bytes.
         new: Makes the tensors that results go to, the same for all calls of a recording.
         spare: How many of these may be kept for the next calls.
-        fill: Writes the table, and gives the results, with those tensors whose addresses are in it.
+        fill: Writes the table, which holds zeros or what it wrote last, with the addresses of those tensors, and gives
+            the results.
         family: Works of one family launch the same kernels, or nearly.
     """
 
@@ -279,7 +280,7 @@ def _do_once(work: Work, table: Table) -> None:
 
 
 def _pinned(length: int) -> Tensor:
-    return torch.empty(length, dtype=torch.float64, device="cpu", pin_memory=True)
+    return torch.zeros(length, dtype=torch.float64, device="cpu", pin_memory=True)
 
 
 @contextmanager

@@ -118,7 +118,8 @@ class TableCall(NamedTuple, Generic[R]):
 
     Args:
         of: What it has in common with those.
-        fill: Writes the table, memory of the host, with the addresses of new tensors, and gives the results.
+        fill: Writes the table, memory of the host which holds zeros or the last call's, with the addresses of new
+            tensors, and gives the results.
         reads: The tensors that the work reads by address.
         instead: Gives a call whose recording is there and serves this one too, until it has come so often that a
             recording of its own is worth the time; or None.

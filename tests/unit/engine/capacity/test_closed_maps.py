@@ -60,7 +60,7 @@ def test_the_table_has_every_entry_in_its_place():
     kind, decisions = class_of(1000, 500, grid, None)
     decisions = decisions._replace(region_shares=4, cell_shares=2, levels_left_out=3)
     table = np.zeros(TABLE)
-    write_table(table, kind, decisions, 1000, 500, grid, (11, 12, 13, 14, 15))
+    write_table(memoryview(table), kind, decisions, 1000, 500, grid, (11, 12, 13, 14, 15))
     own, none = table[: 2 * SLAB_ROW].reshape(2, SLAB_ROW)
     assert tuple(own[ORIGIN : ORIGIN + 3]) == (1, 2, 3)
     assert tuple(own[SHAPE : SHAPE + 3]) == (10, 11, 12)
@@ -76,6 +76,18 @@ def test_the_table_has_every_entry_in_its_place():
     assert parts[:, ROOT].tolist() == [0, 2 << depth_for(1000)]
     assert parts[:, LEFT_OUT].tolist() == [3, 0]
     assert (own[REGION_SHARES], own[CELL_SHARES]) == (4, 2)
+
+
+def test_a_table_is_that_of_its_own_mesh_whatever_was_written_before():
+    grids = [sdm.Grid([k, 2, 3], [0.1 + k] * 3, [10, 11, 12]) for k in range(2)]
+    kind, decisions = class_of(1000, 500, grids[0], None)
+    again = np.zeros(TABLE)
+    for k, grid in enumerate(grids):
+        fresh = np.zeros(TABLE)
+        for table in (fresh, again):
+            own = decisions._replace(region_shares=4 - k, cell_shares=2)
+            write_table(memoryview(table), kind, own, 900 + k, 500 - k, grid, range(ADDRESSES))
+        assert fresh.tobytes() == again.tobytes()
 
 
 def test_meshes_of_a_class_have_one_recording():
