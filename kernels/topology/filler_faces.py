@@ -117,8 +117,12 @@ def _tell(
     neighbours: wp.array(dtype=wp.int32),
     unmatched: wp.array(dtype=wp.int32),
     boundary: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+    host: wp.int64,
 ):
     i = begin + wp.tid()
+    if i < flags.shape[0]:
+        _put_int(host, i, flags[i])
     own = 4 * counts[FACES]
     number = int(0)
     place = i
@@ -136,7 +140,15 @@ def _tell(
     _put_int(addresses[TOLD_AT], place, number)
 
 
-def tell(counts: wp.array, addresses: wp.array, neighbours: wp.array, unmatched: wp.array, boundary: wp.array) -> None:
+def tell(
+    counts: wp.array,
+    addresses: wp.array,
+    neighbours: wp.array,
+    unmatched: wp.array,
+    boundary: wp.array,
+    flags: wp.array,
+    host: int,
+) -> None:
     """Write what a mesh's faces say to the address TOLD_AT: its neighbours, unmatched edges, and boundary, in a row.
 
     Args:
@@ -145,9 +157,11 @@ def tell(counts: wp.array, addresses: wp.array, neighbours: wp.array, unmatched:
         neighbours: (4 * room) int32, of which those of the F own faces are written.
         unmatched: (U) int32, of any length.
         boundary: (B) int32, of any length; so 4 F + U + B numbers are written.
+        flags: (N) int32, at most 4 * room.
+        host: Where these are written: memory that the device writes to, pinned for a GPU.
     """
     count = neighbours.shape[0] + unmatched.shape[0] + boundary.shape[0]
-    launch(_tell, count, [counts, addresses, neighbours, unmatched, boundary], neighbours.device)
+    launch(_tell, count, [counts, addresses, neighbours, unmatched, boundary, flags, host], neighbours.device)
 
 
 @wp.kernel

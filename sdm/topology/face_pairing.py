@@ -158,7 +158,7 @@ def _forget(number: int, gone: Any) -> None:
 
 
 def queue_pairing(
-    faces: Tensor, count: int, within: Tensor | None = None, *, by_table: bool = False
+    faces: Tensor, count: int, within: Tensor | None = None, *, by_table: bool = False, zeros: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
@@ -166,15 +166,17 @@ def queue_pairing(
         The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
         `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is given,
         the faces are written without any: each is brought into it. `by_table`: by `edge_table`, of faces without any.
+        `zeros` (FLAGS + count,) int32: memory for the flags, which come first, and the search, if it is there.
     """
     total = faces.numel()
-    counts = torch.empty(count + FLAGS, dtype=torch.int32, device=faces.device)
-    if counts.is_cuda:
-        counts.zero_()
-    else:
-        # Without torch's threads, which take longer to meet.
-        counts.numpy().fill(0)
-    first, flags = counts.split([count, FLAGS])
+    if zeros is None:
+        zeros = torch.empty(FLAGS + count, dtype=torch.int32, device=faces.device)
+        if zeros.is_cuda:
+            zeros.zero_()
+        else:
+            # Without torch's threads, which take longer to meet.
+            zeros.numpy().fill(0)
+    flags, first = zeros.split([FLAGS, count])
     unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
     around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):

@@ -26,6 +26,7 @@ from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.launch import set_array
+from sdm.kernels.topology.edge_pairing import FLAGS, OUT_OF_RANGE
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import TableCall, TableWork, Verify
@@ -122,7 +123,7 @@ def class_call(
 ) -> TableCall[Any]:
     """The call that makes the map of a mesh, if it is closed, or with `room` open by up to as many edges.
 
-    The flags are of a vertex out of range, twice, and the number of unmatched edges. With room for unmatched and for
+    The flags are of a vertex out of range, and the number of unmatched edges. With room for unmatched and for
     boundary edges they are those of `boundary_loops.join_edges`, and behind them the numbers of both. `instead`,
     `launched`: of a `TableCall`.
     """
@@ -176,10 +177,10 @@ class _Mesh(NamedTuple):
     parts: Tensor
 
 
-def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Tensor) -> _Mesh:
-    """Queue the copies of the table and of the mesh that it tells of; the first of `zeros` is set if an index is wrong.
+def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Tensor, wrong: Tensor) -> _Mesh:
+    """Queue the copies of the table and of the mesh that it tells of.
 
-    They are zero before, as is the rest of them.
+    `zeros` are zero before, and then the first of `wrong`, which is among them, is set if an index is.
     """
     table = torch.empty(host.shape, dtype=host.dtype, device=device)
     rows, addresses, counts, parts = split_table(table)
@@ -187,38 +188,39 @@ def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Ten
     faces = torch.empty((kind.faces, 3), dtype=torch.int32, device=device)
     bounds = torch.empty(12, dtype=torch.float32, device=device)
     with on_current_stream(table, table):
-        wrong = as_warp(zeros, wp.int32)
-        copy_table(host.data_ptr(), as_warp(table.view(torch.int64), wp.int64), wrong, as_warp(bounds, wp.float32))
+        none = as_warp(zeros, wp.int32)
+        copy_table(host.data_ptr(), as_warp(table.view(torch.int64), wp.int64), none, as_warp(bounds, wp.float32))
         take_in(
             as_warp(addresses, wp.int64),
             as_warp(counts, wp.int32),
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.int32),
-            wrong,
+            as_warp(wrong, wp.int32),
         )
     return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts)
 
 
 def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
-    zeros = torch.empty(3, dtype=torch.int32, device=device)
-    wrong, ambiguous = zeros.split([1, 2])
-    mesh = _take_in(kind, device, table, zeros)
+    zeros = torch.empty(2 + FLAGS + kind.vertices, dtype=torch.int32, device=device)
+    ambiguous, pairing = zeros.split([2, FLAGS + kind.vertices])
+    # A vertex out of range is one for the pairing.
+    mesh = _take_in(kind, device, table, zeros, pairing[OUT_OF_RANGE:])
     with beside(device) as join:
-        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
+        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
     _queue_map(kind, mesh, neighbours, join, ambiguous, None)
     with beside(device, TELLING, since=join) as told:
-        verify(torch.cat([wrong, found]))
-        none = found[:0]
-        _tell(mesh, neighbours, none, none)
+        verify(found, 0, partial(_tell, mesh, neighbours, found[:0], found[:0], found))
     told()
 
 
 def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
-    boundary = OpenBoundary.empty(device, room)
-    # The first flag is that of a vertex out of range.
-    mesh = _take_in(kind, device, table, boundary.memory)
+    own = OpenBoundary.length(room)
+    zeros = torch.empty(own + FLAGS + kind.vertices, dtype=torch.int32, device=device)
+    memory, pairing = zeros.split([own, FLAGS + kind.vertices])
+    boundary = OpenBoundary.of_memory(memory, room)
+    mesh = _take_in(kind, device, table, zeros, pairing[OUT_OF_RANGE:])
     with beside(device) as join:
-        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
+        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
 
     def begin_joining() -> Join:
         with beside(device, TELLING, since=join) as joined:
@@ -227,18 +229,21 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
 
     joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining)
     with beside(device, TELLING, since=joined) as told:
-        verify(boundary.numbers, TOLD)
-        _tell(mesh, neighbours, unmatched[:room], boundary.memory)
+        verify(
+            boundary.numbers,
+            TOLD,
+            partial(_tell, mesh, neighbours, unmatched[:room], boundary.memory, boundary.numbers),
+        )
     told()
     with on_current_stream(mesh.addresses):
         tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
 
 
-def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor) -> None:
-    told = (mesh.counts, neighbours.view(-1), unmatched.view(-1), boundary)
+def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor, flags: Tensor, host: int) -> None:
+    told = (mesh.counts, neighbours.view(-1), unmatched.view(-1), boundary, flags)
     counts, *numbers = (as_warp(tensor, wp.int32) for tensor in told)
     with on_current_stream(neighbours):
-        tell(counts, as_warp(mesh.addresses, wp.int64), *numbers)
+        tell(counts, as_warp(mesh.addresses, wp.int64), *numbers, host)
 
 
 def _queue_map(

@@ -21,6 +21,7 @@ from sdm.engine.capacity.classes import MANY_EDGES, MOST_EDGES, CapacityClass, l
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.kernels.dense.plan import Decisions, memory_of
 from sdm.kernels.topology.boundary_loops import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 from sdm.runtime import graphs
 from sdm.runtime.host_copy import number_later
 from sdm.runtime.torch_warp import warp_name
@@ -70,12 +71,12 @@ def class_map(
             remember_later(faces, count, partial(_closed_pairing, found.told, graphs.last_launch(device)))
             return found.made, None
         # Flags of `class_call`.
-        if said and (said[0] or said[1]):
+        if said and said[OUT_OF_RANGE]:
             return None
         if not said and not any(graphs.is_recorded(device, class_key(kind, room)) for room in kind.rooms(device.type)):
             # Neither is made for one that is not due.
             return None
-        edges = said[2] if said else 0
+        edges = said[UNMATCHED] if said else 0
     for room in kind.rooms(device.type):
         # A recording for many edges is made for meshes that have them.
         if edges > room or (edges <= MOST_EDGES < room):

@@ -82,11 +82,6 @@ class OpenBoundary(NamedTuple):
         """Numbers in that memory."""
         return sum(math.prod(size) for size in _sizes(room).values())
 
-    @classmethod
-    def empty(cls, device: torch.device, room: int) -> OpenBoundary:
-        """New tensors, not zero yet."""
-        return cls.of_memory(torch.empty(cls.length(room), dtype=torch.int32, device=device), room)
-
     @property
     def room(self) -> int:
         """The edges, unmatched or of the boundary, that there is room for."""

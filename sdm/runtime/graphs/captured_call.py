@@ -18,7 +18,10 @@ from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
 from sdm.runtime.torch_warp import current_device, on_current_stream, raw_stream
 
+# Queues a kernel that writes flags to an address.
+WriteFlags: TypeAlias = Callable[[int], None]
 # Takes flags, zeros if a guess is right, and behind them as many other numbers as it is told, for the host to know.
+# They are copied, or a `WriteFlags` that it is given writes them.
 Verify: TypeAlias = Callable[..., None]
 Tensors: TypeAlias = tuple[Tensor, ...]
 # Takes a `Verify` and tensors, gives tensors.
@@ -34,8 +37,10 @@ _ALL_PENDING = memoryview(array("i", MOST_FLAGS * [PENDING]))
 LOOKS = 2000
 
 
-def unverified(flags: Tensor, told: int = 0) -> None:
+def unverified(flags: Tensor, told: int = 0, write: WriteFlags | None = None) -> None:
     """The `Verify` of work whose guesses are known to be right, or whose results nobody looks at."""
+    if write is not None:
+        write(torch.empty_like(flags).data_ptr())
 
 
 class Recording:
@@ -81,10 +86,13 @@ class Recording:
         """A tensor without content on the device."""
         return torch.empty(0, device=self._device)
 
-    def _verify(self, flags: Tensor, told: int = 0) -> None:
+    def _verify(self, flags: Tensor, told: int = 0, write: WriteFlags | None = None) -> None:
         self._guesses = True
         self._count, self._told = flags.shape[0], told
-        self._flags[: self._count].copy_(flags, non_blocking=True)
+        if write is None:
+            self._flags[: self._count].copy_(flags, non_blocking=True)
+        else:
+            write(self._flags.data_ptr())
         self._verified.record()
 
     def guessed_right(self) -> tuple[bool, list[int]]:
