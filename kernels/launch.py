@@ -116,6 +116,23 @@ def launch(
         raise
 
 
+def provide_zeros(empty: Any, zeros: wp.array) -> None:
+    """Let `new_zeros` of an allocator take them from (n,) int32 that are zero once kernels run."""
+    empty.zeros, empty.taken = zeros, 0
+
+
+def new_zeros(empty: Any, length: int) -> wp.array:
+    """(length,) int32 zeros from an allocator of workspace, without a launch where it has some."""
+    zeros = getattr(empty, "zeros", None)
+    if zeros is None or empty.taken + length > zeros.shape[0]:
+        made = empty(length, wp.int32)
+        made.zero_()
+        return made
+    begin = empty.taken
+    empty.taken += length
+    return zeros[begin : begin + length]
+
+
 def set_array(struct: Any, name: str, array: wp.array) -> None:
     """Assign an array to a member of a Warp struct, whose type nobody checks.
 

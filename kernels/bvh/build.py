@@ -311,6 +311,7 @@ def build_tree(
     *,
     fillers: bool = False,
     is_reset: bool = False,
+    counts: wp.array | None = None,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
 
@@ -325,6 +326,7 @@ def build_tree(
         gathered: Called once all is queued but the nodes' boxes.
         fillers: All meshes but the first only fill room, so that the order of their triangles does not matter.
         is_reset: `bounds` are as `reset_bounds` leaves them.
+        counts: Zeros for `RankSort`, if there are any.
     """
     meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
     bits, all_bits = _bits(tree, meshes, fillers)
@@ -339,7 +341,7 @@ def build_tree(
         launch(_reset_bounds, 6 * meshes, [bounds], device)
     reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
-    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers)
+    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers, counts=counts)
 
 
 def _bits(tree: Tree, meshes: int, fillers: bool) -> tuple[int, int]:
@@ -359,6 +361,7 @@ def build_in_frame(
     gathered: Callable[[], None] | None = None,
     *,
     fillers: bool = False,
+    counts: wp.array | None = None,
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
@@ -367,7 +370,7 @@ def build_in_frame(
     inputs = [tree, vertices, faces, bounds, bits, int(not fillers)]
     order = slots
     if device.is_cuda and is_ranked(total, meshes, fillers, all_bits):
-        ranks = RankSort(keys, slots, all_bits)
+        ranks = RankSort(keys, slots, all_bits, counts)
         inputs += [ranks.short, slots, ranks.counts]
         launch(_make_short_keys, total, inputs, device, smallest=LIGHT_SHARE)
         order = ranks.order(tree)

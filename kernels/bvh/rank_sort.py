@@ -148,11 +148,12 @@ class RankSort:
         keys: (2 * total) int64: to `short`, the first part of their memory, the keys are written.
         slots: (2 * total) int32, of whose first half slot i of the first mesh will hold i.
         bits: Of the keys.
+        counts: (BUCKETS) int32 zeros, if there are any.
 
     To `counts`, if it has any entries, they are to be added by their buckets.
     """
 
-    def __init__(self, keys: wp.array, slots: wp.array, bits: int) -> None:
+    def __init__(self, keys: wp.array, slots: wp.array, bits: int, counts: wp.array | None = None) -> None:
         device: Any = slots.device
         self._device, self._bits, self._total = device, bits, slots.shape[0] // 2
 
@@ -166,8 +167,10 @@ class RankSort:
         behind = self._placed.ptr + 8 * total
         self.counts = part(behind, buckets, wp.int32)
         self._starts = part(behind + 4 * buckets, buckets + 1, wp.int32)
-        if buckets:
+        if buckets and counts is None:
             self.counts.zero_()
+        elif buckets:
+            self.counts = counts
 
     def order(self, tree: Tree) -> wp.array:
         """The numbers in `slots` in the order of their keys."""

@@ -19,8 +19,8 @@ from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED, bits_for,
 
 wp.set_module_options({"enable_backward": False})
 
-# Edges of one list, at most, as each goes through all of it: a step takes a GPU some 0.2 us; and places of the table for each edge, at least, so that free ones are near: edges of
-# closed meshes share a place with another.
+# Edges of one list, at most, as each goes through all of it: a step takes a GPU some 0.2 us; and places of the table
+# for each edge, at least, so that free ones are near: edges of closed meshes share a place with another.
 MOST_ALIKE, ROOM = 4096, 1.6
 _NONE = 0x7FFFFFFF
 

@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, start_of_mesh, unravel, voxel, voxel_at
-from sdm.kernels.launch import launch, threads
+from sdm.kernels.launch import launch, new_zeros, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import boundary_winding
@@ -180,8 +180,7 @@ def scan_triangles(
     lanes = lanes_for_each(-(-slots // meshes), meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
     most = most_columns or MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
-    large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
-    larges.zero_()
+    large, larges = empty(slots if some_large else 1, wp.vec2i), new_zeros(empty, 1)
     launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
     if some_large:
         lanes, groups = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, threads())
@@ -203,6 +202,7 @@ def slab_winding(
     empty: Callable[[int, Any], wp.array],
     most_columns: int | None = None,
     before_boundary: Callable[[], Callable[[], None]] = lambda: _nothing,
+    is_zero: bool = False,
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
@@ -210,7 +210,7 @@ def slab_winding(
     were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
     instead. `empty(length, dtype)` allocates workspace; for `most_columns` see `PlanOptions`.
     `before_boundary` is called once all is queued that needs neither boundary nor caps, and what it gives before the
-    caps' moments are looked at.
+    caps' moments are looked at. `is_zero`: `values` are.
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()
@@ -223,13 +223,15 @@ def slab_winding(
     by_edges = fast and not few and loose and edges <= MOST_EDGES[kind]
     with_caps = fast and not few and not by_edges
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
-        values.zero_()
+        if not is_zero:
+            values.zero_()
         before_moments = before_boundary()
     elif slab.turned != 0:
         before_moments = before_boundary()
         launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)
     else:
-        values.zero_()
+        if not is_zero:
+            values.zero_()
         counts = flat.view(wp.int32)
         scan_triangles(tree, slab, counts, meshes, empty, most_columns)
         before_moments = before_boundary() if with_caps else _nothing

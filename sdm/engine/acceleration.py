@@ -266,6 +266,7 @@ def fill_surface(
     features_later: bool = False,
     fillers: bool = False,
     is_reset: bool = False,
+    counts: wp.array | None = None,
 ) -> None:
     """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
 
@@ -298,7 +299,8 @@ def fill_surface(
             gathered()
 
     hook = gathered if tree_alone else beside_boxes
-    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, hook, fillers=fillers, is_reset=is_reset)
+    options: Any = {"fillers": fillers, "is_reset": is_reset, "counts": counts}
+    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, hook, **options)
     if tree_alone:
         if join is not None:
             join()

@@ -20,6 +20,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from sdm.kernels.launch import provide_zeros
 from sdm.kernels.launches import arrays
 
 # Arrays that share memory begin at multiples of this many bytes in it.
@@ -137,8 +138,11 @@ def refuse_forward_mode(tensor: Tensor) -> None:
         )
 
 
-def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
-    """An allocator of workspace for kernels: torch's memory, kept for as long as the allocator lives."""
+def workspace(device: torch.device, zeros: Tensor | None = None) -> Callable[[int, Any], wp.array]:
+    """An allocator of workspace for kernels: torch's memory, kept for as long as the allocator lives.
+
+    Of `zeros` (n,) int32, if there are any, `sdm.kernels.launch.new_zeros` takes its own.
+    """
     kept: list[Tensor] = []
     free, end, name = 0, 0, warp_name(device)
 
@@ -157,6 +161,9 @@ def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
         free += size + -size % ALIGNMENT
         return arrays.array_at(address, (length,), dtype, name)
 
+    if zeros is not None:
+        kept.append(zeros)
+        provide_zeros(empty, as_warp(zeros, wp.int32))
     return empty
 
 

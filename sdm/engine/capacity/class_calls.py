@@ -21,11 +21,12 @@ from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
+from sdm.kernels.bvh.rank_sort import BUCKET_BITS
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.dense.workspace import make_workspace
-from sdm.kernels.launch import set_array
+from sdm.kernels.launch import new_zeros, set_array
 from sdm.kernels.topology.edge_pairing import FLAGS, OUT_OF_RANGE
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
@@ -37,6 +38,9 @@ from sdm.topology.face_pairing import queue_pairing
 # See `TableCall`.
 Instead: TypeAlias = Callable[[], "TableCall[ClassMap] | None"]
 Key: TypeAlias = tuple[str, CapacityClass, int]
+# Zeros that kernels of a map need: those of a sort, and a few.
+BUCKETS = 1 << BUCKET_BITS
+ZEROS = BUCKETS + 64
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
 # Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
@@ -166,7 +170,7 @@ def _new_results(shape: tuple[int, int, int], told: int, device: torch.device) -
 
 
 class _Mesh(NamedTuple):
-    """A mesh in a recording's own memory, room for the bounds of both, and the table's parts."""
+    """A mesh in a recording's own memory, room for the bounds of both, the table's parts, and zeros for kernels."""
 
     vertices: Tensor  # (room,3) float32
     faces: Tensor  # (room,3) int32
@@ -175,13 +179,17 @@ class _Mesh(NamedTuple):
     addresses: Tensor
     counts: Tensor
     parts: Tensor
+    zeros: Tensor
 
 
-def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Tensor, wrong: Tensor) -> _Mesh:
+def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, own: int) -> tuple[_Mesh, Tensor, Tensor]:
     """Queue the copies of the table and of the mesh that it tells of.
 
-    `zeros` are zero before, and then the first of `wrong`, which is among them, is set if an index is.
+    Also gives (own,) int32 zeros, and those of its pairing, where an index out of range is told.
     """
+    lengths = [own, FLAGS + kind.vertices, ZEROS]
+    zeros = torch.empty(sum(lengths), dtype=torch.int32, device=device)
+    mine, pairing, rest = zeros.split(lengths)
     table = torch.empty(host.shape, dtype=host.dtype, device=device)
     rows, addresses, counts, parts = split_table(table)
     vertices = torch.empty((kind.vertices, 3), dtype=torch.float32, device=device)
@@ -195,16 +203,13 @@ def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Ten
             as_warp(counts, wp.int32),
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.int32),
-            as_warp(wrong, wp.int32),
+            as_warp(pairing[OUT_OF_RANGE:], wp.int32),
         )
-    return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts)
+    return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts, rest), mine, pairing
 
 
 def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
-    zeros = torch.empty(2 + FLAGS + kind.vertices, dtype=torch.int32, device=device)
-    ambiguous, pairing = zeros.split([2, FLAGS + kind.vertices])
-    # A vertex out of range is one for the pairing.
-    mesh = _take_in(kind, device, table, zeros, pairing[OUT_OF_RANGE:])
+    mesh, ambiguous, pairing = _take_in(kind, device, table, 2)
     with beside(device) as join:
         found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
     _queue_map(kind, mesh, neighbours, join, ambiguous, None)
@@ -214,11 +219,8 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
 
 
 def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
-    own = OpenBoundary.length(room)
-    zeros = torch.empty(own + FLAGS + kind.vertices, dtype=torch.int32, device=device)
-    memory, pairing = zeros.split([own, FLAGS + kind.vertices])
+    mesh, memory, pairing = _take_in(kind, device, table, OpenBoundary.length(room))
     boundary = OpenBoundary.of_memory(memory, room)
-    mesh = _take_in(kind, device, table, zeros, pairing[OUT_OF_RANGE:])
     with beside(device) as join:
         found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
 
@@ -272,17 +274,21 @@ def _queue_map(
         tree = coarser(structure.view.tree, 0)
         set_array(tree, "parts", as_warp(mesh.parts, wp.int32))
         tree.meshes = 2
-        view, empty = structure.view._replace(tree=tree), workspace(device)
+        view, empty = structure.view._replace(tree=tree), workspace(device, mesh.zeros)
         box: Any = as_warp(mesh.bounds, wp.float32)
-        # Counters are zero by then.
-        work = make_workspace(kind.plan, empty)
-        with kernels_beside(values, TELLING) as begun:
-            work.begin_pass(kind.plan, 0)
+        work, begin = make_workspace(kind.plan, empty), fork(device)
         unjoined: list[Join] = []
+        # Once triangles are in order: winding numbers do not wait for boxes.
+        ordered: list[Join] = []
         options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_reset": True}
+        options |= {"counts": new_zeros(empty, BUCKETS), "gathered": lambda: ordered.append(fork(device))}
         fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
+        # Nothing before it waits for these, and they for nothing.
+        with kernels_beside(values, TELLING, since=begin) as begun:
+            work.begin_pass(kind.plan, 0)
+            if not kind.turned:
+                as_warp(values, wp.float32).zero_()
         begun()
-        built = fork(device)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
@@ -296,8 +302,9 @@ def _queue_map(
 
         def wind() -> None:
             joins.append(begin_joining())
-            with kernels_beside(values, WINDING, since=built) as wound:
-                slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns, before_boundary)
+            with kernels_beside(values, WINDING, begun, ordered[0]) as wound:
+                columns = kind.plan.most_columns
+                slab_winding(tree, winding, slab, target.values, empty, columns, before_boundary, is_zero=True)
             joins.append(wound)
 
         def before_regions() -> None:

@@ -10,7 +10,6 @@ import math
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
-import torch
 import warp as wp
 from torch import Tensor
 
