@@ -25,7 +25,7 @@ from sdm.kernels.topology.ends_at_one_place import join_ends, rows_of
 wp.set_module_options({"enable_backward": False})
 
 # Places of the flags: a vertex out of range; by how many more edges than guessed are unmatched, and than bound the
-# mesh, or if there is room for them, than there is room for; edges that are followed by none, or meet too many others.
+# mesh, or if there is room for them, than there is room for; edges that are followed by none.
 # Behind them how many are unmatched, and how many bound the mesh.
 WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
 ALL_UNMATCHED, ALL_EDGES, NUMBERS = 4, 5, 6
@@ -33,8 +33,6 @@ _NONE = 0x7FFFFFFF
 # Threads that number the loops, a block, of up to so many edges and of more; and numbers that each loads at once.
 BLOCK, FEW_LOOPED, LARGE_BLOCK, AT_ONCE = 128, 2048, 512, 4
 Numbers = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
-# Edges that begin at one vertex, at most: each is looked for after the one before.
-MOST_MEETING = 32
 
 
 @wp.func
@@ -143,14 +141,14 @@ def _follow(
     lanes: int,
     edges: wp.array2d(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
-    onward: wp.array(dtype=wp.int64),
+    ordered: wp.array(dtype=wp.int32),
     firsts: wp.array(dtype=wp.int32),
     in_room: int,
     flags: wp.array(dtype=wp.int32),
 ):
-    """The edge that follows each one, and its place in the order of first vertices, in one number.
+    """Of each edge its place in the order of first vertices, and that of the one that follows it, in one number.
 
-    And the first vertices in that order.
+    And the edges and the first vertices in that order.
     """
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -162,43 +160,37 @@ def _follow(
         return
     start = edges[edge, 0]
     end = edges[edge, 1]
-    following = int(_NONE)
     # Edges that end where this one does, and come before it; and those before it in the order.
     earlier = int(0)
     place = int(0)
+    # Edges that begin before its end, and at it.
+    below = int(0)
+    meeting = int(0)
     other = lane
     while other < count:
-        if edges[other, 0] == end:
-            following = wp.min(following, other)
+        its = edges[other, 0]
+        if its < end:
+            below = below + 1
+        elif its == end:
+            meeting = meeting + 1
         if edges[other, 1] == end and other < edge:
             earlier = earlier + 1
-        if edges[other, 0] < start or (edges[other, 0] == start and other < edge):
+        if its < start or (its == start and other < edge):
             place = place + 1
         other = other + lanes
     earlier = int(sum_of_lanes(float(earlier)))
     place = int(sum_of_lanes(float(place)))
-    following = least_whole_of_lanes(following)
-    # Few loops meet: mostly there is none before.
-    if earlier >= MOST_MEETING:
-        following = int(_NONE)
-    while earlier > 0 and following < _NONE:
-        last = following
-        following = int(_NONE)
-        other = lane
-        while other < count:
-            if edges[other, 0] == end and other > last:
-                following = wp.min(following, other)
-            other = other + lanes
-        following = least_whole_of_lanes(following)
-        earlier = earlier - 1
+    below = int(sum_of_lanes(float(below)))
+    meeting = int(sum_of_lanes(float(meeting)))
     if lane == 0:
-        if following == _NONE:
-            # Or the number of edges was guessed wrong.
+        following = below + earlier
+        if earlier >= meeting:
+            # The number of edges was guessed wrong.
             flags[TANGLED] = 1
-            following = edge
+            following = place
+        ordered[place] = edge
         firsts[place] = start
         ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(place)
-        onward[edge] = ahead[edge]
 
 
 @wp.kernel
@@ -206,6 +198,7 @@ def _number_loops(
     begin: int,
     lanes: int,
     flags: wp.array(dtype=wp.int32),
+    ordered: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
     onward: wp.array(dtype=wp.int64),
     around: wp.array(dtype=wp.int32),
@@ -225,6 +218,15 @@ def _number_loops(
     while (count >> steps) > 0:
         steps = steps + 1
     low = wp.int64(0x7FFFFFFF)
+    edge = lane
+    while edge < count:
+        # In place of the following one's place, that one.
+        places = ahead[edge]
+        following = wp.int64(ordered[int(places >> wp.int64(32))])
+        ahead[edge] = (following << wp.int64(32)) | (places & low)
+        onward[edge] = ahead[edge]
+        edge = edge + lanes
+    wait_for_block()
     for _step in range(steps):
         edge = lane
         while edge < count:
@@ -336,11 +338,11 @@ def join_edges(
     lanes = GPU_LANES if device.is_cuda else 1
     same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
-    around, left, firsts = (empty(count, wp.int32) for _ in range(3))
+    around, left, firsts, ordered = (empty(count, wp.int32) for _ in range(4))
     join_ends(unmatched, vertices, same, found)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
-    launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, int(in_room), flags], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, ordered, firsts, int(in_room), flags], device)
     block = (BLOCK if count <= FEW_LOOPED else LARGE_BLOCK) if device.is_cuda else 1
-    launch(_number_loops, block, [block, flags, ahead, onward, around, left], device, block_dim=block)
+    launch(_number_loops, block, [block, flags, ordered, ahead, onward, around, left], device, block_dim=block)
     launch(_write_caps, count * lanes, [lanes, edges, flags, around, left, firsts, caps], device)

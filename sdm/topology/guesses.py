@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import NamedTuple
 
-import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -13,7 +12,7 @@ from torch import Tensor
 from sdm.kernels.topology import boundary_loops
 from sdm.runtime.graphs import Verify
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
-from sdm.topology.boundary_edges import MeshTopology, on_host
+from sdm.topology.boundary_edges import MeshTopology
 from sdm.topology.cap_triangles import remember_joined
 from sdm.topology.face_pairing import Pairing, PairingUnderWay, pairing_of, queue_pairing
 
@@ -64,17 +63,13 @@ def last_numbers(faces: Tensor, count: int) -> Guess | None:
 def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> None:
     """Remember the boundary `edges` (E,2) that faces turned out to have, for the next guess.
 
-    If they are `simple`, they were followed on the device; else whether they can be is looked at on the host.
+    If they are `simple`, they were followed on the device.
     """
     unmatched = pairing_of(faces, count).unmatched.shape[0]
     if unmatched == 0:
         _last_open.pop((faces.shape[0], count), None)
         return
-    if not simple and unmatched <= MOST_REMEMBERED:
-        # Where too many begin at one vertex, they are not followed on the device.
-        meeting = np.unique(on_host(edges)[:, 0], return_counts=True)[1] if edges.shape[0] else np.zeros(1)
-        simple = int(meeting.max()) <= boundary_loops.MOST_MEETING
-    remember_numbers(faces, count, Guess(unmatched, edges.shape[0]) if simple else None)
+    remember_numbers(faces, count, Guess(unmatched, edges.shape[0]) if simple or unmatched <= MOST_REMEMBERED else None)
 
 
 def remember_numbers(faces: Tensor, count: int, numbers: Guess | None) -> None:

@@ -15,7 +15,7 @@ from sdm.engine.capacity.class_calls import Given, class_call
 from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.topology.boundary_loops import FLAGS, TANGLED, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.topology.boundary_loops import FLAGS, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.kernels.topology.edge_table import MOST_ALIKE
 from sdm.kernels.winding.rims import every_voxel
 from sdm.topology.boundary_edges import boundary_edges
@@ -151,9 +151,6 @@ def test_what_does_not_fit_is_told():
     assert many[WRONG_UNMATCHED] == len(pairing_of(torn_up, len(vertices)).unmatched) - MOST_EDGES > 0
     outside = _class_map(vertices, faces.where(faces != 7, len(vertices)), grid)[2]
     assert outside[WRONG_VERTEX] != 0
-    # 40 triangles at one edge: each of it is a loop through the same two vertices.
-    fan = torch.cat([faces[:-1], faces[:1].expand(40, 3)]).contiguous()
-    assert _class_map(vertices, fan, grid)[2][TANGLED] != 0
     # Three of each triangle of a few, so that edges count three times.
     some = torch.cat(3 * [faces[::8]]).contiguous()
     rows = len(pairing_of(some, len(vertices)).unmatched)
@@ -164,6 +161,14 @@ def test_what_does_not_fit_is_told():
     # With more of one edge than its list is looked through for, whoever asks has to sort.
     times = torch.cat([faces[:-1], faces[:1].expand(MOST_ALIKE + 1, 3)]).contiguous()
     assert _class_map(vertices, times, grid)[2][WRONG_VERTEX] != 0
+
+
+@pytest.mark.parametrize("faces_at_an_edge", [40, 300])
+def test_many_loops_meet(faces_at_an_edge):
+    """Triangles at one edge: each of it is a loop through the same two vertices."""
+    vertices, faces = torus(900)
+    fan = np.concatenate([faces[:-1], faces[:1].repeat(faces_at_an_edge, 0)])
+    _same((vertices, fan), _grid(vertices))
 
 
 def test_what_has_no_room_leaves_no_index_out_of_range():
