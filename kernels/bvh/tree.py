@@ -10,7 +10,6 @@ Coordinates are scaled by a power of two, which is exact, so that squares neithe
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from typing import Any
 
@@ -62,7 +61,7 @@ class Tree:
 @lru_cache(maxsize=4096)
 def depth_for(faces: int) -> int:
     """Levels below the root for a mesh of `faces` triangles."""
-    return max(0, math.ceil(math.log2(max(1, faces) / TRIANGLES_PER_LEAF)))
+    return max(0, -(-faces // TRIANGLES_PER_LEAF) - 1).bit_length()
 
 
 def coarser(tree: Tree, levels: int) -> Tree:

@@ -24,7 +24,10 @@ from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_tab
 from sdm.kernels.bvh.rank_sort import BUCKET_BITS
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
-from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
+from sdm.kernels.dense.query import OwnStages, Pending, Surface, Target, output_of, run_stages
+from sdm.kernels.dense.stage1_witnesses import find_witnesses
+from sdm.kernels.dense.stage6_measure import measure_blocks
+from sdm.kernels.dense.voxel_search import mend_slab
 from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.launch import new_zeros, set_array
 from sdm.kernels.topology.edge_pairing import FLAGS, OUT_OF_RANGE
@@ -101,20 +104,9 @@ def class_key(kind: CapacityClass, room: int = 0) -> Key:
     return "open class" if room else "class", kind, room
 
 
-class Given(NamedTuple):
-    """A mesh as recordings read it by address, with its numbers, and the grid of its map."""
-
-    vertices: Tensor  # (V,3) float32, contiguous
-    faces: Tensor  # (F,3) int32, contiguous
-    grid: Grid
-    count: int  # vertices
-    total: int  # faces
-    device: torch.device
-
-    @classmethod
-    def of(cls, vertices: Tensor, faces: Tensor, grid: Grid) -> Given:
-        """The mesh of such tensors."""
-        return cls(vertices, faces, grid, vertices.shape[0], faces.shape[0], faces.device)
+# A mesh as recordings read it by address: vertices (V,3) float32 and faces (F,3) int32, contiguous; the grid of its
+# map; V, F and the device. A plain tuple, as each function on the way to a launch takes some microseconds.
+Given: TypeAlias = tuple[Tensor, Tensor, Grid, int, int, torch.device]
 
 
 def class_call(
@@ -123,28 +115,40 @@ def class_call(
     given: Given,
     room: int = 0,
     instead: Instead | None = None,
-    launched: Callable[[ClassMap], Any] | None = None,
+    make: Callable[[Tensor, Told], Any] = ClassMap,
 ) -> TableCall[Any]:
     """The call that makes the map of a mesh, if it is closed, or with `room` open by up to as many edges.
 
     The flags are of a vertex out of range, and the number of unmatched edges. With room for unmatched and for
-    boundary edges they are those of `boundary_loops.join_edges`, and behind them the numbers of both. `instead`,
-    `launched`: of a `TableCall`.
+    boundary edges they are those of `boundary_loops.join_edges`, and behind them the numbers of both. `instead`: of a
+    `TableCall`. `make` makes the result of values and what is told, while the device is at work.
     """
     vertices, faces, grid, count, total, device = given
+    work, behind = _work_of(kind, device, room)
 
-    def fill(table: Any, new: tuple[Tensor, Tensor | None]) -> ClassMap:
+    def fill(table: Any, new: tuple[Tensor, Tensor | None]) -> tuple[Tensor, Tensor]:
         values, told = new
-        length = 4 * total + _told_behind(room)
         if told is None:
-            told = faces.new_empty(length)
+            told = faces.new_empty(4 * total + behind)
         at = told.data_ptr()
         # The last number is that of the ambiguous voxels, which a closed mesh has not.
-        places = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), at + 4 * length - 4, at
-        write_table(table, kind, decisions, total, count, grid, places)
-        return ClassMap(values, Told(told, total, room))
+        last = at + 4 * (4 * total + behind - 1)
+        write_table(
+            table,
+            kind,
+            decisions,
+            total,
+            count,
+            grid,
+            (vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), last, at),
+        )
+        return values, told
 
-    return TableCall(_work_of(kind, device, room), fill, (vertices, faces), instead, launched)
+    def launched(filled: tuple[Tensor, Tensor]) -> Any:
+        values, told = filled
+        return make(values, Told(told, total, room))
+
+    return TableCall(work, fill, (vertices, faces), instead, launched)
 
 
 def _told_behind(room: int) -> int:
@@ -153,15 +157,18 @@ def _told_behind(room: int) -> int:
 
 
 @lru_cache(maxsize=256)
-def _work_of(kind: CapacityClass, device: torch.device, room: int) -> TableWork:
-    """What the calls of a class have in common, about closed meshes or open ones with room for so many edges."""
+def _work_of(kind: CapacityClass, device: torch.device, room: int) -> tuple[TableWork, int]:
+    """What the calls of a class have in common, about closed meshes or open ones with room for so many edges.
+
+    And how many numbers are told behind those of faces.
+    """
     work = partial(_queue_open_map, kind, room, device) if room else partial(_queue_closed_map, kind, device)
-    key, nbytes = class_key(kind, room), 4 * math.prod(kind.shape)
+    key, nbytes, behind = class_key(kind, room), 4 * math.prod(kind.shape), _told_behind(room)
     # What is told is remembered: of few faces it does no harm if there is room for more.
-    told = 4 * kind.most + _told_behind(room) if kind.most <= MOST_SPARE_FACES else 0
+    told = 4 * kind.most + behind if kind.most <= MOST_SPARE_FACES else 0
     spare = min(MOST_SPARE, SPARE // (nbytes + 4 * told)) if told else 0
     new = partial(_new_results, kind.shape, told, device)
-    return TableWork(key, work, device, TABLE, key[0], new, spare, int(nbytes > LARGE))
+    return TableWork(key, work, device, TABLE, key[0], new, spare, int(nbytes > LARGE)), behind
 
 
 def _new_results(shape: tuple[int, int, int], told: int, device: torch.device) -> tuple[Tensor, Tensor | None]:
@@ -229,7 +236,10 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
             boundary.queue_joining(unmatched, found, mesh.vertices)
         return joined
 
-    joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining)
+    def count_ambiguous() -> None:
+        tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
+
+    joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining, count_ambiguous)
     with beside(device, TELLING, since=joined) as told:
         verify(
             boundary.numbers,
@@ -237,8 +247,6 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
             partial(_tell, mesh, neighbours, unmatched[:room], boundary.memory, boundary.numbers),
         )
     told()
-    with on_current_stream(mesh.addresses):
-        tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
 
 
 def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor, flags: Tensor, host: int) -> None:
@@ -256,10 +264,12 @@ def _queue_map(
     ambiguous: Tensor,
     boundary: OpenBoundary | None,
     begin_joining: Callable[[], Join] = lambda: nothing,
+    measured: Callable[[], None] = lambda: None,
 ) -> Join:
     """The map of a mesh, to the address in the table: its neighbours are there after `join`.
 
     Gives what `begin_joining` gave, after which its boundary is there. What everything waits for is queued first.
+    `measured` queues what comes once voxels are measured, beside the rest.
     """
     vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
@@ -325,6 +335,14 @@ def _queue_map(
         def join_winding() -> None:
             joins[1]()
 
+        def measure(*inputs: Any) -> None:
+            measure_blocks(*inputs)
+            with beside_winding() as joined:
+                measured()
+            joins.append(joined)
+
         beside_winding = partial(kernels_beside, values, WINDING)
-        run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, pending=pending, begun=work)
+        own = OwnStages(find_witnesses, measure, mend_slab)
+        run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, own, pending, work)
+        joins[2]()
     return joins[0]

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine.capacity.class_calls import ClassMap, Given, Told, class_call, class_key
+from sdm.engine.capacity.class_calls import Given, Told, class_call, class_key
 from sdm.engine.capacity.classes import MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.kernels.dense.plan import Decisions, memory_of
@@ -61,8 +61,8 @@ def class_map(
     called while the device is at work, and again if that turns out to have been in vain.
     """
     # What recordings read by address.
-    given = Given.of(vertices.contiguous(), faces.contiguous(), grid)
-    _, _, _, count, total, device = given
+    count, total, device = vertices.shape[0], faces.shape[0], faces.device
+    given = vertices.contiguous(), faces.contiguous(), grid, count, total, device
     # Until the launch no more than it takes.
     edges = min(2 * count - total, MANY_EDGES)
     if looks_closed(total, count):
@@ -102,17 +102,17 @@ def _attempt(
 ) -> tuple[_Found[T] | None, list[int]]:
     """Result of a class's recording; of that of a larger class, if there is one, until its own is worth the time."""
 
-    def launched(found: ClassMap) -> _Found[T]:
-        return _Found(make(found.values), found.told)
+    def found(values: Tensor, told: Told) -> _Found[T]:
+        return _Found(make(values), told)
 
     def of_larger() -> Any:
-        device = given.device
-        for larger in larger_classes(kind, decisions, given.grid, memory_of(warp_name(device))):
+        _, _, grid, _, _, device = given
+        for larger in larger_classes(kind, decisions, grid, memory_of(warp_name(device))):
             if graphs.is_recorded(device, class_key(larger, room)):
-                return class_call(larger, decisions, given, room, launched=launched)
+                return class_call(larger, decisions, given, room, None, found)
         return None
 
-    return graphs.attempt_by_table(class_call(kind, decisions, given, room, of_larger, launched))
+    return graphs.attempt_by_table(class_call(kind, decisions, given, room, of_larger, found))
 
 
 def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:

@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import split
-from sdm.engine.capacity.class_calls import Given, class_call
+from sdm.engine.capacity.class_calls import class_call
 from sdm.engine.capacity.classes import bounds_of, class_of
 from sdm.engine.capacity.tables import TABLE, write_table
 from sdm.engine.plan_override import plan_override
@@ -24,7 +24,8 @@ from tests.helpers.by_table import by_table
 
 def _class_map(vertices, faces, grid):
     kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, flags, told = by_table(class_call(kind, decisions, Given.of(vertices, faces, grid)))
+    given = vertices, faces, grid, len(vertices), len(faces), faces.device
+    found, flags, told = by_table(class_call(kind, decisions, given))
     assert told == 0
     return kind, found.values, found.told.neighbours, flags
 

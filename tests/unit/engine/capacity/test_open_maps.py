@@ -11,7 +11,7 @@ from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
 from sdm.engine.capacity import open_boundary
-from sdm.engine.capacity.class_calls import Given, class_call
+from sdm.engine.capacity.class_calls import class_call
 from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
@@ -75,7 +75,8 @@ def _grid(vertices, turned=False):
 
 def _class_map(vertices, faces, grid, room=MOST_EDGES):
     kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, numbers, told = by_table(class_call(kind, decisions, Given.of(vertices, faces, grid), room))
+    given = vertices, faces, grid, len(vertices), len(faces), faces.device
+    found, numbers, told = by_table(class_call(kind, decisions, given, room))
     assert told == len(numbers) - FLAGS
     return found, OpenBoundary.of_memory(found.told.boundary, room), numbers
 
