@@ -87,7 +87,8 @@ def _reduce_bounds(
     for axis in range(3):
         least = least_of_lanes(low[axis])
         other = least_of_lanes(lowest[axis])
-        if lane == 0:
+        # All who come here write to the same few places, one after the other: those without a face need not.
+        if lane == 0 and least < wp.inf:
             lessen(bounds, 6 * mesh + axis, least)
             lessen(bounds, 6 * mesh + 3 + axis, other)
 
@@ -310,7 +311,7 @@ def build_tree(
     gathered: Callable[[], None] | None = None,
     *,
     fillers: bool = False,
-    is_reset: bool = False,
+    is_bounded: bool = False,
     counts: wp.array | None = None,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
@@ -325,21 +326,22 @@ def build_tree(
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
         gathered: Called once all is queued but the nodes' boxes.
         fillers: All meshes but the first only fill room, so that the order of their triangles does not matter.
-        is_reset: `bounds` are as `reset_bounds` leaves them.
+        is_bounded: `bounds` are as `reduce_bounds` leaves them.
         counts: Zeros for `RankSort`, if there are any.
     """
     meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
     bits, all_bits = _bits(tree, meshes, fillers)
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
-    if device.is_cuda and tree.count <= MOST_OF_FEW and is_ranked(total, meshes, fillers, all_bits):
+    few = device.is_cuda and not (fillers or is_bounded) and tree.count <= MOST_OF_FEW
+    if few and is_ranked(total, meshes, fillers, all_bits):
         ranks = RankSort(keys, slots, all_bits)
         inputs = [BLOCK_OF_FEW, tree, vertices, faces, bounds, bits, int(not fillers), ranks.short, slots, ranks.counts]
         launch(_begin_few, meshes * BLOCK_OF_FEW, inputs, device, BLOCK_OF_FEW)
         _fill(tree, vertices, faces, ranks.order(tree), normals, gathered)
         return
-    if not is_reset:
+    if not is_bounded:
         launch(_reset_bounds, 6 * meshes, [bounds], device)
-    reduce_bounds(tree, vertices, faces, bounds)
+        reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers, counts=counts)
 

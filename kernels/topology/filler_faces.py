@@ -9,6 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.launch import launch
+from sdm.kernels.primitives.atomics import lessen
+from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,33 +54,58 @@ def _copy_table(
         bounds[i] = float(wp.inf)
 
 
+@wp.func
+def _bring_down(bounds: wp.array(dtype=wp.float32), mesh: int, low: wp.vec3, lowest: wp.vec3, lane: int):
+    """A mesh's lowest coordinates, and its highest ones with the other sign, by those of all lanes."""
+    for axis in range(3):
+        least = least_of_lanes(low[axis])
+        other = least_of_lanes(lowest[axis])
+        # All who come here write to the same few places, one after the other: those without a face need not.
+        if lane == 0 and least < wp.inf:
+            lessen(bounds, 6 * mesh + axis, least)
+            lessen(bounds, 6 * mesh + 3 + axis, other)
+
+
 @wp.kernel
 def _take_in(
     begin: int,
+    lanes: int,
     addresses: wp.array(dtype=wp.int64),
     counts: wp.array(dtype=wp.int32),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     wrong: wp.array(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
 ):
     i = begin + wp.tid()
     count = counts[FACES]
     points = counts[VERTICES]
     if i < points:
         vertices[i] = _vector_at(addresses[VERTICES_AT], i)
-    if i >= faces.shape[0]:
-        return
     # Each at a vertex of its own, as far as there are enough, so that none has many.
     filler = i % points
     given_at = addresses[FACES_AT]
-    for k in range(3):
-        index = filler
-        if i < count:
-            given = _int_at(given_at, 3 * i + k)
-            index = wp.clamp(given, 0, points - 1)
-            if index != given:
-                wrong[0] = 1
-        faces[i, k] = index
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    lowest = low
+    if i < faces.shape[0]:
+        for k in range(3):
+            index = filler
+            if i < count:
+                given = _int_at(given_at, 3 * i + k)
+                index = wp.clamp(given, 0, points - 1)
+                if index != given:
+                    wrong[0] = 1
+                v = _vector_at(addresses[VERTICES_AT], index)
+                low = wp.min(low, v)
+                lowest = wp.min(lowest, -v)
+            faces[i, k] = index
+    _bring_down(bounds, 0, low, lowest, i % lanes)
+    # The second mesh is the first face behind.
+    if i == count:
+        v = _vector_at(addresses[VERTICES_AT], filler)
+        for axis in range(3):
+            bounds[6 + axis] = v[axis]
+            bounds[9 + axis] = -v[axis]
 
 
 def copy_table(host: int, table: wp.array, zeros: wp.array, bounds: wp.array) -> None:
@@ -95,7 +122,9 @@ def copy_table(host: int, table: wp.array, zeros: wp.array, bounds: wp.array) ->
     launch(_copy_table, count, [host, table, zeros, bounds], table.device)
 
 
-def take_in(addresses: wp.array, counts: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array) -> None:
+def take_in(
+    addresses: wp.array, counts: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array, bounds: wp.array
+) -> None:
     """Copy the vertices and faces of a mesh, and put faces of no area behind these.
 
     Args:
@@ -104,9 +133,13 @@ def take_in(addresses: wp.array, counts: wp.array, vertices: wp.array, faces: wp
         vertices: (room) vec3; the first V are filled.
         faces: (room,3) int32, filled: indices out of range are brought into it.
         wrong: (1) int32, set to 1 if there were any.
+        bounds: (12) float32, as `copy_table` leaves them: lowered as by `sdm.kernels.bvh.build.reduce_bounds`, those of
+            the mesh, and of the first face behind its own as a mesh of one.
     """
-    count = max(vertices.shape[0], faces.shape[0])
-    launch(_take_in, count, [addresses, counts, vertices, faces, wrong], faces.device)
+    lanes = GPU_LANES if faces.device.is_cuda else 1
+    # Whole groups, as all lanes of one compare what they have.
+    count = -(-max(vertices.shape[0], faces.shape[0]) // lanes) * lanes
+    launch(_take_in, count, [lanes, addresses, counts, vertices, faces, wrong, bounds], faces.device)
 
 
 @wp.kernel

@@ -265,7 +265,7 @@ def fill_surface(
     unjoined: list[Join] | None = None,
     features_later: bool = False,
     fillers: bool = False,
-    is_reset: bool = False,
+    is_bounded: bool = False,
     counts: wp.array | None = None,
 ) -> None:
     """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
@@ -299,7 +299,7 @@ def fill_surface(
             gathered()
 
     hook = gathered if tree_alone else beside_boxes
-    options: Any = {"fillers": fillers, "is_reset": is_reset, "counts": counts}
+    options: Any = {"fillers": fillers, "is_bounded": is_bounded, "counts": counts}
     build_tree(view.tree, corners, triples, bounds, keys, slots, normals, hook, **options)
     if tree_alone:
         if join is not None:

@@ -203,14 +203,15 @@ def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, own: int) 
     faces = torch.empty((kind.faces, 3), dtype=torch.int32, device=device)
     bounds = torch.empty(12, dtype=torch.float32, device=device)
     with on_current_stream(table, table):
-        none = as_warp(zeros, wp.int32)
-        copy_table(host.data_ptr(), as_warp(table.view(torch.int64), wp.int64), none, as_warp(bounds, wp.float32))
+        none, box = as_warp(zeros, wp.int32), as_warp(bounds, wp.float32)
+        copy_table(host.data_ptr(), as_warp(table.view(torch.int64), wp.int64), none, box)
         take_in(
             as_warp(addresses, wp.int64),
             as_warp(counts, wp.int32),
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.int32),
             as_warp(pairing[OUT_OF_RANGE:], wp.int32),
+            box,
         )
     return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts, rest), mine, pairing
 
@@ -290,7 +291,7 @@ def _queue_map(
         unjoined: list[Join] = []
         # Once triangles are in order: winding numbers do not wait for boxes.
         ordered: list[Join] = []
-        options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_reset": True}
+        options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_bounded": True}
         options |= {"counts": new_zeros(empty, BUCKETS), "gathered": lambda: ordered.append(fork(device))}
         fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
         # Nothing before it waits for these, and they for nothing.
