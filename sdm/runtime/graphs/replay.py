@@ -26,7 +26,7 @@ from sdm.runtime.graphs.captured_call import (
 )
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
-from sdm.runtime.torch_warp import current_device, is_capturing
+from sdm.runtime.torch_warp import current_device, is_capturing, raw_stream
 
 # What a call by table gives.
 R = TypeVar("R")
@@ -34,8 +34,9 @@ R = TypeVar("R")
 SHARE = 16
 # And how many they are: a folder of meshes has a dozen capacity classes and more (`sdm.engine.capacity`).
 MOST_RECORDINGS = 32
-# Calls that another's recording serves before one is made: that takes a GPU some 50 us more, a recording the host 3 ms.
-PATIENCE = 60
+# Calls that another's recording serves before one is made. That takes a GPU up to 50 us more, and making one takes the
+# host 3 ms of one call: only those who go on for long wait for it.
+PATIENCE = 600
 
 _switch = SimpleNamespace(on=os.environ.get("SDM_CUDA_GRAPHS", "1") != "0", pauses=0)
 _lock = threading.RLock()
@@ -138,8 +139,10 @@ def supports(tensor: Tensor) -> bool:
     """True if a call with this tensor may be recorded and replayed."""
     if not (tensor.is_cuda and _switch.on and not _switch.pauses and is_eager(tensor)):
         return False
-    if tensor.device.index == current_device():
-        return not is_capturing()
+    index = tensor.get_device()
+    if index == current_device():
+        # The default stream is never captured, and to look at its number takes less.
+        return raw_stream(index) == 0 or not is_capturing()
     with torch.cuda.device(tensor.device):
         return not torch.cuda.is_current_stream_capturing()
 
