@@ -101,9 +101,9 @@ def is_recordable(vertices: Tensor, nbytes: int) -> bool:
 def mesh_map(
     vertices: Tensor, faces: Tensor, grid: Grid, make: Callable[[Tensor], T]
 ) -> tuple[T, Callable[[], int] | None]:
-    """What `make` makes of the map (nx,ny,nz) of a recordable mesh, while the device is at work if it is a first map.
+    """The map (nx,ny,nz) of a recordable mesh as `make` makes it, while the device is at work if it is a first map.
 
-    And what tells how many voxels are ambiguous, None for a closed mesh.
+    And a counter of its ambiguous voxels, None for a closed mesh.
     """
     vertices, count = vertices.detach() if vertices.requires_grad else vertices, vertices.shape[0]
     if is_known(faces, count):

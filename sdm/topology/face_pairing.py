@@ -101,8 +101,8 @@ def _known_pairing(faces: Tensor, count: int) -> Pairing | None:
     known = _known.get(id(faces))
     if known is None or known.faces() is not faces:
         return None
-    now = state_of(faces, count)
-    if now is None or known.state != now:
+    # As `state_of`.
+    if faces.is_inference() or known.state != (faces._version, count):
         return None
     pairing = known.pairing
     if not isinstance(pairing, Pairing):

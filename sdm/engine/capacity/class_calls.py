@@ -54,7 +54,7 @@ MOST_SPARE, SPARE, MOST_SPARE_FACES = 4, 1 << 22, 20480
 
 
 class Told(NamedTuple):
-    """What a mesh's faces say, as a recording of a class tells it: parts that are looked at when somebody asks.
+    """Topology of a mesh as a recording of a class tells it: its parts are looked at when somebody asks.
 
     Args:
         memory: All of it, int32 in a row.
@@ -158,7 +158,7 @@ def _told_behind(room: int) -> int:
 
 @lru_cache(maxsize=256)
 def _work_of(kind: CapacityClass, device: torch.device, room: int) -> tuple[TableWork, int]:
-    """What the calls of a class have in common, about closed meshes or open ones with room for so many edges.
+    """Work of the calls of a class, about closed meshes or open ones with room for so many edges.
 
     And how many numbers are told behind those of faces.
     """

@@ -55,7 +55,7 @@ def class_map(
     grid: Grid,
     make: Callable[[Tensor], T],
 ) -> tuple[T, Callable[[], int] | None] | None:
-    """What `make` makes of the map (nx,ny,nz) of a mesh of a class, and if it is open what counts its ambiguous voxels.
+    """The map (nx,ny,nz) of a mesh of a class as `make` makes it, and if it is open a counter of its ambiguous voxels.
 
     None if there is no recording for it, or if it is none that these serve. Else its topology is remembered. `make` is
     called while the device is at work, and again if that turns out to have been in vain.
@@ -91,7 +91,7 @@ def class_map(
 
 
 class _Found(NamedTuple, Generic[T]):
-    """What was made of a map, and what its mesh's faces say."""
+    """A map as it was made, and the topology that its mesh's faces have."""
 
     made: T
     told: Told

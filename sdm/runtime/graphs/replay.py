@@ -90,7 +90,7 @@ class Call:
 
 
 class TableWork(NamedTuple):
-    """What calls by table have in common that one recording serves.
+    """The work that calls by table share, which one recording serves.
 
     Args:
         key: Calls with equal keys do the same with tables of the same length.
