@@ -40,7 +40,7 @@ class Pairing:
 
 
 class _Known(NamedTuple):
-    """What was found for faces, or makes it, and the state in which they were seen."""
+    """A pairing that was found for faces, or what makes it, and the state in which they were seen."""
 
     faces: Callable[[], Tensor | None]
     state: tuple[int, int] | None

@@ -88,7 +88,7 @@ class Told(NamedTuple):
 
     @property
     def last(self) -> int:
-        """Where that is."""
+        """Place of that number."""
         return 4 * self.faces + _told_behind(self.room) - 1
 
 
