@@ -166,9 +166,11 @@ def test_what_does_not_fit_is_told():
 
 @pytest.mark.parametrize("faces_at_an_edge", [40, 300])
 def test_many_loops_meet(faces_at_an_edge):
-    """Triangles at one edge: each of it is a loop through the same two vertices."""
+    """Triangles about one edge: each of them is a loop through the same two vertices."""
     vertices, faces = torus(900)
-    fan = np.concatenate([faces[:-1], faces[:1].repeat(faces_at_an_edge, 0)])
+    about = faces[:1].repeat(faces_at_an_edge, 0)
+    about[:, 2] = np.setdiff1d(np.arange(len(vertices)), faces[0, :2])[:faces_at_an_edge]
+    fan = np.concatenate([faces[:-1], about])
     _same((vertices, fan), _grid(vertices))
 
 
