@@ -87,7 +87,6 @@ def _reduce_bounds(
     for axis in range(3):
         least = least_of_lanes(low[axis])
         other = least_of_lanes(lowest[axis])
-        # All who come here write to the same few places, one after the other: those without a face need not.
         if lane == 0 and least < wp.inf:
             lessen(bounds, 6 * mesh + axis, least)
             lessen(bounds, 6 * mesh + 3 + axis, other)
@@ -332,8 +331,8 @@ def build_tree(
     meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
     bits, all_bits = _bits(tree, meshes, fillers)
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
-    few = device.is_cuda and not (fillers or is_bounded) and tree.count <= MOST_OF_FEW
-    if few and is_ranked(total, meshes, fillers, all_bits):
+    is_few = device.is_cuda and not (fillers or is_bounded) and tree.count <= MOST_OF_FEW
+    if is_few and is_ranked(total, meshes, fillers, all_bits):
         ranks = RankSort(keys, slots, all_bits)
         inputs = [BLOCK_OF_FEW, tree, vertices, faces, bounds, bits, int(not fillers), ranks.short, slots, ranks.counts]
         launch(_begin_few, meshes * BLOCK_OF_FEW, inputs, device, BLOCK_OF_FEW)
@@ -366,8 +365,7 @@ def build_in_frame(
     counts: wp.array | None = None,
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
-    device = vertices.device
-    meshes, total = vertices.shape[0], tree.face.shape[0]
+    meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
     bits, all_bits = _bits(tree, meshes, fillers)
     inputs = [tree, vertices, faces, bounds, bits, int(not fillers)]
     order = slots
