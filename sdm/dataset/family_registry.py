@@ -12,7 +12,7 @@ from sdm.io.files.stand_in import address_of, to_read
 from sdm.io.files.stand_in import known as known_stand_ins
 from sdm.io.meshes.formats import mesh_endings
 from sdm.shapes import Family, families, load_family, make_family
-from sdm.shapes.named_family import CODE, MODEL, differs_from, family_record
+from sdm.shapes.named_family import CODE, MODEL, difference, differs_from, family_record
 
 # Those that need no files.
 FAMILIES: dict[str, type[Family]] = {name: family for name, family in families.items() if not family.needs_files}
@@ -71,6 +71,19 @@ def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
         raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error
 
 
+def with_reference(family: Family, source: dict[str, Any] | None) -> dict[str, Any] | None:
+    """A source with a record of the family's shapes, where it is of the user's code: the package has its version."""
+    if type(family).__module__.partition(".")[0] == __name__.partition(".")[0]:
+        return source
+    return {"reference": family_record(family), **(source or {})}
+
+
+def other_family(found: dict[str, Any], wanted: dict[str, Any]) -> str | None:
+    """What is other in the families of two manifests, in words; None where nothing is known to be."""
+    one, other = ((manifest.get("source") or {}).get("reference") for manifest in (wanted, found))
+    return difference(one, other) if isinstance(one, dict) and isinstance(other, dict) else None
+
+
 def _here(folder: str) -> str:
     """A folder of meshes, or a stand-in for one at an address."""
     if not is_remote(folder):
@@ -87,7 +100,7 @@ def _of_file(options: dict[str, Any], named: bool) -> Family:
     family = load_family(name, **options)
     what = differs_from(family, record if isinstance(record, dict) else {})
     if what is not None:
-        raise SDMError(f"{name} is not the family that the dataset was made from any more: another {what}")
+        raise SDMError(f"{name} is not the family that the dataset was made from any more: other {what}")
     return family
 
 

@@ -9,6 +9,7 @@ import torch
 
 from sdm.core.grid import Grid
 from sdm.dataset import layout
+from sdm.dataset.family_registry import other_family, with_reference
 from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_job import Job
 from sdm.dataset.shard_paths import rows_of
@@ -111,6 +112,11 @@ def verify(
                 f"{folder} has {len(found)} damaged shards, but {what} it was made with was {there}, here it is "
                 f"{here}: made again they would differ"
             )
+    if what := other_family(manifest, {"source": with_reference(family, None)}):
+        raise FormatError(
+            f"{folder} has {len(found)} damaged shards, but the {family.name} it was made with had other {what}: made "
+            "again they would differ"
+        )
     grid = Grid(**recipe["grid"])
     dtype = {name: kind for kind, name in DTYPES.items()}[recipe["dtype"]]
     signs = recipe["sign"], recipe["hole_size"]

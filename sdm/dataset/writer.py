@@ -12,6 +12,7 @@ import torch
 from sdm.core.as_grid import GridLike
 from sdm.core.grid import Grid
 from sdm.dataset import layout
+from sdm.dataset.family_registry import other_family, with_reference
 from sdm.dataset.manifest import COMPRESSIONS, read_manifest, require_draws
 from sdm.dataset.shard_job import Job
 from sdm.dataset.shard_paths import rows_of
@@ -125,7 +126,7 @@ def generate(
         "rejected": [list(pair) for pair in family.rejected],
         "sdm_version": version(),
         "device": None if ray is not None else device_kind(devices[0]),
-        "source": source,
+        "source": with_reference(family, source),
     }
     files = layout.shard_count(manifest)
     if files > MOST_FILES:
@@ -175,6 +176,10 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
         FormatError: It is not; says in what.
     """
     require_draws(found, path)
+    name = wanted["recipe"]["family"]
+    # First, as another grid may follow from it.
+    if found["recipe"]["family"] == name and (what := other_family(found, wanted)):
+        raise FormatError(f"{path} was begun from another {name}: other {what} than requested now")
     others = ("count", "shard", "compression", "sdm_version", "device")
     for key, value in {**wanted["recipe"], **{k: wanted[k] for k in others}}.items():
         there = found["recipe"].get(key, found.get(key))

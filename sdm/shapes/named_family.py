@@ -74,7 +74,11 @@ def family_record(family: Family) -> dict[str, Any]:
 
 def differs_from(family: Family, record: dict[str, Any]) -> str | None:
     """The first thing in which a family differs from a record of `family_record`, in words; None if it is the same."""
-    own = family_record(family)
+    return difference(family_record(family), record)
+
+
+def difference(own: dict[str, Any], record: dict[str, Any]) -> str | None:
+    """The first thing in which two records of `family_record` differ, in words; None if they are of one family."""
     for key, word in (("name", "name"), ("parameters", "parameters"), ("fingerprint", "faces or constants")):
         if own[key] != record.get(key):
             return f"{word}"
