@@ -124,7 +124,8 @@ def _estimates(result: FitResult) -> list[str]:
     ends = result.posterior.intervals(0.9)[: len(result.parameters)].tolist()
     lines = ["estimate and 90 % interval"]
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=True):
-        lines.append(f"{parameter.name} = {value:.4f} ({low:.4f} to {high:.4f}) {parameter.unit}")
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        lines.append(f"{parameter.name} = {value:.4f} ({low:.4f} to {high:.4f}){unit}")
     return lines
 
 
