@@ -18,6 +18,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.closest_points import Closest
 from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points import PointsIndex
 from sdm.fit import ExactBackend
 from sdm.fit.model.exact import ROUGH_TRIANGLES, TRIANGLES
 from sdm.fit.model.spline_backend import GridBackend
@@ -67,8 +68,8 @@ class _EngineMaps(ExactBackend):
         super().__init__(family, "cpu")
         self.grid = grid
 
-    def _indexed(self, mesh: TriangleMesh) -> MeshIndex:
-        return cast("MeshIndex", _MapIndex(MeshIndex(mesh, "cpu"), self.grid))
+    def _indexed(self, mesh: TriangleMesh) -> PointsIndex:
+        return cast("PointsIndex", _MapIndex(MeshIndex(mesh, "cpu"), self.grid))
 
 
 class _MapIndex:

@@ -18,7 +18,7 @@ from torch import Tensor
 from sdm.bench.common.meshes import Case
 from sdm.bench.peers.libigl import THREADS_FROM, LibiglWinding
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points import PointsIndex
 from sdm.fit import ExactBackend
 
 
@@ -27,9 +27,9 @@ class ClosestPointBackend(ExactBackend):
 
     name = "libigl, closest points"
 
-    def _indexed(self, mesh: TriangleMesh) -> MeshIndex:
+    def _indexed(self, mesh: TriangleMesh) -> PointsIndex:
         """libigl's structures of a mesh, by the two calls that the backend makes."""
-        return cast("MeshIndex", _Libigl(mesh))
+        return cast("PointsIndex", _Libigl(mesh))
 
 
 @dataclass(frozen=True, eq=False)

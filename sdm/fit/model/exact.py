@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points import PointsIndex
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
 from sdm.shapes import Family, make_family
@@ -111,9 +111,9 @@ class ExactBackend:
         self._theta = theta.clone()
         self.evaluations += 1
 
-    def _indexed(self, mesh: TriangleMesh) -> MeshIndex:
+    def _indexed(self, mesh: TriangleMesh) -> PointsIndex:
         """Index of a mesh, asked for distances and for the closest points."""
-        return MeshIndex(mesh, self.device)
+        return PointsIndex(mesh, self.device)
 
     def _box(self) -> tuple[Tensor, Tensor]:
         middle = torch.tensor([(p.low + p.high) / 2 for p in self.parameters], dtype=torch.float64, device=self.device)

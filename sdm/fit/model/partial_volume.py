@@ -41,11 +41,14 @@ class Samples:
 
     Args:
         share: (mx,my,mz) float64.
-        by_step: (P+6,mx,my,mz) float32 its derivatives by the increments of `State.moved`, or None.
+        by_step: (P+6,bx,by,bz) float32 its derivatives by the increments of `State.moved` in the box of sample points
+            outside which they are 0, or None.
+        corner: The first sample point of that box along each axis.
     """
 
     share: Tensor
     by_step: Tensor | None
+    corner: tuple[int, int, int] = (0, 0, 0)
 
 
 class Renderer:
@@ -104,7 +107,7 @@ class Renderer:
 
     def rendered(self, samples: Samples) -> Rendered:
         """Voxels of sample points."""
-        by_step = None if samples.by_step is None else self.blurred(samples.by_step)
+        by_step = None if samples.by_step is None else self.blurred(samples.by_step, samples.corner)
         return Rendered(self.blurred(samples.share), by_step)
 
     def sampled(self, state: State, *, derivatives: bool = True) -> Samples:
@@ -141,18 +144,26 @@ class Renderer:
         share[tuple(near.T)] = p
         slope = p * (1 - p) / self.length
         by_step = state.chain(at, found.by_theta, found.by_point) * -slope[:, None]
+        x, y, z = near.amin(0).tolist() if len(near) else (0, 0, 0)
+        box = (near.amax(0) + 1).tolist() if len(near) else (0, 0, 0)
         # Derivatives of 1e-7 relative accuracy are plenty, at half the memory.
-        dense = torch.zeros(by_step.shape[1], *share.shape, device=share.device)
-        dense[(slice(None), *near.T)] = by_step.T.float()
-        return Samples(share, dense)
+        dense = torch.zeros(by_step.shape[1], box[0] - x, box[1] - y, box[2] - z, device=share.device)
+        dense[:, near[:, 0] - x, near[:, 1] - y, near[:, 2] - z] = by_step.T.float()
+        return Samples(share, dense, (x, y, z))
 
     def points_of(self, index: Tensor, edge: int = 1) -> Tensor:
         """Middles (N,3) of boxes of sample points."""
         return (index.double() * edge + (edge - 1) / 2) @ self._axes.T + self._origin
 
-    def blurred(self, values: Tensor) -> Tensor:
-        """Values (...,mx,my,mz) at sample points, averaged to those of voxels (...,nx,ny,nz)."""
-        x, y, z = (w.to(values.dtype) for w in self._weights)
+    def blurred(self, values: Tensor, corner: tuple[int, int, int] = (0, 0, 0)) -> Tensor:
+        """Values (...,mx,my,mz) at sample points, averaged to those of voxels (...,nx,ny,nz).
+
+        Of values in a box of sample points from `corner` on, all others are 0.
+        """
+        x, y, z = (
+            w[:, first : first + count].to(values.dtype)
+            for w, first, count in zip(self._weights, corner, values.shape[-3:], strict=True)
+        )
         values = y @ (values @ z.T)
         return (x @ values.flatten(-2)).unflatten(-1, (y.shape[0], z.shape[0]))
 
