@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -20,8 +21,9 @@ from sdm.kernels.launches.recorded import run
 # Small launches cost less than waking the threads.
 SMALLEST_SHARE = 256
 SHARES_PER_THREAD = 8
-# Of a kernel that takes some ten nanoseconds for each index, the fewest that are worth a turn of a thread.
-LIGHT_SHARE = 4096
+# Of a kernel that takes some ten nanoseconds for each index, the fewest that are worth a turn of a thread; and of one
+# that takes some hundred.
+LIGHT_SHARE, CURVE_SHARE = 4096, 1024
 # Modules that a CPU has run.
 _loaded: set[wp.Module] = set()
 
@@ -99,20 +101,31 @@ def launch(
                 kernel.module.load(device, 1)
             _loaded.add(kernel.module)
 
-    def part(begin: int) -> None:
-        run(kernel, min(share, count - begin), [begin, *inputs], device, 1)
+    # The thread that asks works too: where the others wake up late it has done everything, and waits for nobody.
+    begins = deque(range(0, count, share))
 
-    pool, parts = _pool(os.getpid()), []
+    def work() -> None:
+        while True:
+            try:
+                begin = begins.popleft()
+            except IndexError:
+                return
+            run(kernel, min(share, count - begin), [begin, *inputs], device, 1)
+
+    helpers: list[Future[None]] = []
     try:
-        for begin in range(0, count, share):
-            parts.append(pool.submit(part, begin))
-        for one in parts:
-            one.result()
+        for _ in range(min(workers, len(begins)) - 1):
+            helpers.append(_pool(os.getpid()).submit(work))
+        work()
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
     except BaseException:
         # An interrupt too: the caller lets go of memory that other threads still work on.
-        for one in parts:
-            one.cancel()
-        wait(parts)
+        begins.clear()
+        for helper in helpers:
+            helper.cancel()
+        wait(helpers)
         raise
 
 

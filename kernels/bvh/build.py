@@ -33,7 +33,7 @@ from sdm.kernels.bvh.tree import (
 )
 from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
-from sdm.kernels.launch import LIGHT_SHARE, launch
+from sdm.kernels.launch import CURVE_SHARE, LIGHT_SHARE, launch
 from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
 from sdm.kernels.primitives.atomics import fetch_add, lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
@@ -296,7 +296,7 @@ def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.ar
     meshes, lanes = vertices.shape[0], GPU_LANES if device.is_cuda else 1
     run = FEW_RUN if tree.count <= FEW_TRIANGLES else RUN
     groups = meshes * -(-tree.count // (run * lanes))
-    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, run, bounds], device)
+    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, run, bounds], device, smallest=LIGHT_SHARE)
 
 
 def build_tree(
@@ -372,14 +372,14 @@ def build_in_frame(
     if device.is_cuda and is_ranked(total, meshes, fillers, all_bits):
         ranks = RankSort(keys, slots, all_bits, counts)
         inputs += [ranks.short, slots, ranks.counts]
-        launch(_make_short_keys, total, inputs, device, smallest=LIGHT_SHARE)
+        launch(_make_short_keys, total, inputs, device, smallest=CURVE_SHARE)
         order = ranks.order(tree)
     elif short_keys(total, all_bits) if device.is_cuda else all_bits <= SHORT_BITS:
         short, none = (array_at(keys.ptr, (n,), wp.int32, device.alias) for n in (2 * total, 0))
-        launch(_make_short_keys, total, [*inputs, short, slots, none], device, smallest=LIGHT_SHARE)
+        launch(_make_short_keys, total, [*inputs, short, slots, none], device, smallest=CURVE_SHARE)
         wp.utils.radix_sort_pairs(short, slots, total, end_bit=all_bits)
     else:
-        launch(_make_keys, total, [*inputs, keys, slots], device, smallest=LIGHT_SHARE)
+        launch(_make_keys, total, [*inputs, keys, slots], device, smallest=CURVE_SHARE)
         wp.utils.radix_sort_pairs(keys, slots, total, end_bit=all_bits)
     _fill(tree, vertices, faces, order, normals, gathered)
 

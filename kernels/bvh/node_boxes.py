@@ -104,4 +104,4 @@ def bound_nodes(tree: Tree, meshes: int) -> None:
         lowest, levels = tree.depth + 1 - level, min(level, at_once)
         level -= levels
         inputs = [lanes, tree, lowest, 1 << level, levels]
-        launch(_BOUND_LEVELS[not tree.meshes], (meshes << level) * lanes, inputs, device, smallest=8)
+        launch(_BOUND_LEVELS[not tree.meshes], (meshes << level) * lanes, inputs, device, smallest=64)

@@ -22,7 +22,7 @@ from sdm.kernels.closest.hits import Hits
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
-from sdm.kernels.launch import LIGHT_SHARE, launch, threads
+from sdm.kernels.launch import CURVE_SHARE, launch, threads
 from sdm.kernels.points.closest import name_faces
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.nearest import find_nearest
@@ -47,6 +47,8 @@ from sdm.kernels.winding.winding_number import UNSIGNED, Winding, inside_at, win
 
 wp.set_module_options({"enable_backward": False})
 
+# Packets to look around that are worth a turn of a CPU's thread: some microseconds each.
+PACKETS_OF_THREAD = 32
 # Of a point's place along the curve; the number of its mesh is above.
 _CODE_BITS = 3 * POINT_BITS
 # Room for rounding, of coordinates to float32 and to the rays' lattice, in what two balls cover: a share, and scaled.
@@ -231,7 +233,7 @@ def sort_points(
         count,
         [points, owners, tree, wp.vec3(*corner), edge, keys, order],
         points.device,
-        smallest=LIGHT_SHARE,
+        smallest=CURVE_SHARE,
     )
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=_CODE_BITS + int(tree.meshes).bit_length())
 
@@ -275,7 +277,8 @@ def query_points(
     packets.witnesses = empty(4 * packets.count, wp.float32)
     packets.nearest = empty(packets.count, wp.int32)
     packets.hints = empty(packets.count, wp.int32)
-    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 2 * threads(), packets.count)
+    workers = gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 2 * threads()
+    workers = min(workers, packets.count if device.is_cuda or plan.lists else -(-packets.count // PACKETS_OF_THREAD))
     scratch = empty(workers * SCRATCH, wp.int32)
     packets.counts = empty(COUNTS, wp.int32)
     packets.counts.zero_()

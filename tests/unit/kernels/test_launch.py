@@ -48,6 +48,21 @@ def test_a_thread_that_works_beside_others_asks_no_pool(monkeypatch):
     assert (hits.numpy() == 2).all()
 
 
+def test_whoever_asks_waits_for_no_thread_that_is_busy_elsewhere(monkeypatch):
+    busy, done = threading.Event(), threading.Event()
+    pool = ThreadPoolExecutor(1)
+    pool.submit(lambda: (busy.set(), done.wait(30)))
+    busy.wait(30)
+    monkeypatch.setenv("SDM_NUM_THREADS", "4")
+    monkeypatch.setattr(launch, "_pool", lambda process: pool)
+    hits = wp.zeros(100_003, dtype=wp.int32, device="cpu")
+    launch.launch(_count, 100_003, [hits], "cpu")
+    assert not done.is_set()
+    done.set()
+    pool.shutdown()
+    assert (hits.numpy() == 1).all()
+
+
 def test_threads(monkeypatch):
     import os
 
