@@ -21,11 +21,12 @@ def reference_vertices(theta: Tensor, tables: list[Tensor]) -> Tensor:
 
     def height_of_wave(turns: int) -> Tensor:
         s = spiral * torch.exp(-2 * math.pi * b * turns)
-        return wave * s / torch.sqrt(s**2 + fading**2)
+        return wave * s / torch.sqrt(s * s + fading**2)
 
-    z = rise * t + height_of_wave(0)
-    above = 2 * math.pi * rise + height_of_wave(1) - height_of_wave(0)
-    below = 2 * math.pi * rise + height_of_wave(0) - height_of_wave(-1)
+    outer, own, inmost = (height_of_wave(turns) for turns in (-1, 0, 1))
+    z = own + rise * t
+    above = inmost - own + 2 * math.pi * rise
+    below = own - outer + 2 * math.pi * rise
     size = spiral**power
     width = _soft_min(width * size, inner * r)
     top = _soft_min(_soft_min(top * size, share * above), width)
@@ -39,4 +40,5 @@ def reference_vertices(theta: Tensor, tables: list[Tensor]) -> Tensor:
 
 
 def _soft_min(x: Tensor, y: Tensor) -> Tensor:
-    return x * (1 + (x / y) ** 12) ** (-1 / 12)
+    # Not x (1 + (x/y)^12)^(-1/12): sums with a constant are slow under forward-mode differentiation.
+    return x * y * (x**12 + y**12) ** (-1 / 12)

@@ -155,6 +155,8 @@ class PartialVolume(Appearance):
         variance = p * self.inside.variances[:, None] + (1 - p) * self.outside.variances
         prior = (self.inside.weights[:, None] * self.outside.weights).log()
         log = prior - 0.5 * ((image[:, None, None] - mean) ** 2 / variance + (2 * math.pi * variance).log())
+        if log[0].numel() == 1:
+            return mean, variance, torch.ones_like(log), log[:, 0, 0]
         total = log.flatten(1).logsumexp(1)
         return mean, variance, (log - total[:, None, None]).exp(), total
 
@@ -211,13 +213,14 @@ def _weighted_means(image: Tensor, own: Tensor, old: Tensor) -> tuple[Tensor, Te
 
 
 def _spread(image: Tensor, weight: Tensor, count: int, least: float) -> Mixture:
-    """Components at evenly spaced quantiles of weighted intensities."""
-    order = image.argsort()
-    rank = weight[order].cumsum(0) / weight.sum().clamp_min(1e-12)
-    wanted = (torch.arange(count, device=image.device).double() + 0.5) / count
-    means = image[order][torch.searchsorted(rank, wanted).clamp_max(len(image) - 1)]
+    """Components at evenly spaced quantiles of weighted intensities; one at their mean."""
     if count == 1:
         means = ((weight * image).sum() / weight.sum().clamp_min(1e-12))[None]
+    else:
+        order = image.argsort()
+        rank = weight[order].cumsum(0) / weight.sum().clamp_min(1e-12)
+        wanted = (torch.arange(count, device=image.device).double() + 0.5) / count
+        means = image[order][torch.searchsorted(rank, wanted).clamp_max(len(image) - 1)]
     nearest = (image[:, None] - means).abs().argmin(1)
     own = torch.nn.functional.one_hot(nearest, count).double() * weight[:, None]
     mass = own.sum(0).clamp_min(1e-9)

@@ -122,8 +122,12 @@ def explained_share(image: Tensor, grid: Grid, at: Point, noise: float) -> float
     """Share of the structure around the shape that it explains: both smoothed, and noise taken off."""
     share = at.share
     expected = share * at.appearance.inside.mean + (1 - share) * at.appearance.outside.mean
-    reach = [2 * math.ceil(AROUND / s) + 1 for s in grid.spacing]
-    near = max_pool3d((share > 0.01).double()[None], reach, stride=1, padding=[r // 2 for r in reach])[0] > 0
+    near = (share > 0.01).double()[None]
+    # Axis by axis: the box of all three at once has hundreds of voxels.
+    for axis, spacing in enumerate(grid.spacing):
+        reach = [2 * math.ceil(AROUND / spacing) + 1 if axis == own else 1 for own in range(3)]
+        near = max_pool3d(near, reach, stride=1, padding=[r // 2 for r in reach])
+    near = near[0] > 0
     if not bool(near.any()):
         return 0.0
     rest = noise**2 / 27
