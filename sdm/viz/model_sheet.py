@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -18,12 +20,17 @@ CURVES = ("compactness", "generalisation", "specificity")
 
 
 def model_sheet(
-    shapes: list[tuple[np.ndarray, np.ndarray]], facts: dict[str, Any], path: Path, *, title: str | None = None
+    shapes: Sequence[tuple[np.ndarray, np.ndarray] | None],
+    facts: dict[str, Any],
+    path: Path,
+    *,
+    title: str | None = None,
 ) -> None:
     """Write the sheet of a model.
 
     Args:
-        shapes: Vertices (V,3) and faces (F,3): the mean, then each mode's lower and upper end.
+        shapes: Vertices (V,3) and faces (F,3): the mean, then each mode's lower and upper end; None of one without a
+            surface.
         facts: `compactness`, and, where they are known, `generalisation` and `specificity`.
         path: .png, .pdf, .svg, .jpg or .webp.
         title: A line over all.
@@ -31,17 +38,17 @@ def model_sheet(
     pairs = (len(shapes) - 1) // 2
     curves = [name for name in CURVES if facts.get(name)]
     columns = max(pairs + 1, len(curves))
-    reach = max(float(np.ptp(v, axis=0).max()) for v, _ in shapes) * 0.6
+    reach = max((float(np.ptp(v, axis=0).max()) for v, _ in filter(None, shapes)), default=1.0) * 0.6
     with rc_context(STYLE):
         figure = Figure(figsize=(2.7 * columns, 7.2), dpi=100, layout="constrained")
         FigureCanvasAgg(figure)
         places = figure.subplots(3, columns, squeeze=False)
         for place in places.reshape(-1):
             place.set_axis_off()
-        draw_shape(places[0, 0], *shapes[0], reach, "mean")
+        _draw(places[0, 0], shapes[0], reach, "mean")
         for mode in range(pairs):
             for row, end in ((0, "lower end"), (1, "upper end")):
-                draw_shape(places[row, mode + 1], *shapes[1 + 2 * mode + row], reach, f"mode {mode + 1}, {end}")
+                _draw(places[row, mode + 1], shapes[1 + 2 * mode + row], reach, f"mode {mode + 1}, {end}")
         for place, name in zip(places[2], curves, strict=False):
             place.set_axis_on()
             if name == "compactness":
@@ -56,3 +63,10 @@ def model_sheet(
             figure.suptitle(title, fontsize=11)
         with replacing(path) as part:
             figure.savefig(part, format=path.suffix[1:].lower())
+
+
+def _draw(place: Axes, shape: tuple[np.ndarray, np.ndarray] | None, reach: float, label: str) -> None:
+    if shape is not None:
+        draw_shape(place, *shape, reach, label)
+        return
+    place.text(0.5, 0.5, f"{label}:\nno surface", ha="center", va="center", transform=place.transAxes)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
@@ -28,7 +29,7 @@ def vertices_with_jacobian(family: Family, theta: Tensor) -> tuple[Tensor, Tenso
     at = theta.double()
     try:
         # A row for each parameter, which moves alone: one pass of a batch costs less than `torch.func` takes for it.
-        with forward_ad.dual_level():
+        with _torch_uses_its_own(), forward_ad.dual_level():
             rows = forward_ad.make_dual(at.expand(len(at), -1).contiguous(), torch.eye(len(at)).to(at))
             found = forward_ad.unpack_dual(family.reference_vertices(rows))
     except (NotImplementedError, RuntimeError) as error:
@@ -50,9 +51,15 @@ def with_jacobian(function: Callable[[Tensor], Tensor], at: Tensor) -> tuple[Ten
         value = function(x)
         return value, value
 
-    with warnings.catch_warnings():
-        # Torch's own forward mode uses it.
-        warnings.filterwarnings("ignore", message=".*torch.jit.script. is deprecated", category=DeprecationWarning)
-        warnings.filterwarnings("ignore", message=".*torch.jit.script. is not supported", category=DeprecationWarning)
+    with _torch_uses_its_own():
         jacobian, value = torch.func.jacfwd(twice, has_aux=True)(at)
     return value, jacobian
+
+
+@contextmanager
+def _torch_uses_its_own() -> Iterator[None]:
+    """Without the warnings of what torch's own forward mode uses and torch has deprecated."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*torch.jit.script. is deprecated", category=DeprecationWarning)
+        warnings.filterwarnings("ignore", message=".*torch.jit.script. is not supported", category=DeprecationWarning)
+        yield

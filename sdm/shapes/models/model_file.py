@@ -14,6 +14,7 @@ from sdm.io.files.atomic import replacing
 from sdm.shapes.models.statistical_shape import StatisticalShape
 
 KIND, VERSION = "sdm shape model", 1
+NAMES = {KIND: "a shape model of points", "sdm model of maps": "a model of maps (--method sdm)"}
 ARRAYS = ("mean", "modes", "deviations", "faces", "limit")
 NO_MODEL = "is not a shape model: give a file that sdm shape-model build wrote"
 
@@ -72,7 +73,7 @@ def read_arrays(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str
     except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, RecursionError) as error:
         raise FormatError(f"{path} {NO_MODEL}") from error
     if held != kind:
-        raise FormatError(f"{path} holds a thing called {held!r}, not a {kind}")
+        raise FormatError(f"{path} is {NAMES.get(str(held), 'something else')}, and {NAMES[kind]} is needed")
     if version != VERSION:
         raise FormatError(f"{path} is of another version of sdm: build the model again")
     facts = header.get("facts")

@@ -11,7 +11,9 @@ from sdm.cli.common.argument_types import Device
 
 
 def build(
-    meshes: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="MESH|FOLDER ...")],
+    meshes: Annotated[
+        tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="MESH|FOLDER ...", help_behavior_hint="(required)")
+    ],
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
@@ -60,6 +62,8 @@ def build(
         raise FormatError(f"{out} does not end with .npz, as shape models do")
     if method == "sdm" and (template is not None or lay):
         raise SDMError("--template and --lay are for models of points; --method sdm needs no correspondence")
+    if not meshes:
+        raise MeshError("no mesh was given: name three mesh files or more, or a folder of them")
     files = list(inputs_of(meshes))
     if not files:
         raise MeshError(f"no mesh file was found in {', '.join(map(str, meshes))}")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+
+if TYPE_CHECKING:
+    from sdm.core.signed_distance_map import SDM
 
 
 def show(
@@ -26,7 +29,7 @@ def show(
         modes: How many modes to draw.
     """
     from sdm.errors import FormatError
-    from sdm.shapes.models.model_file import kind_of
+    from sdm.shapes.models.model_file import kind_of, load_model
     from sdm.shapes.models.sdm_modes import KIND, SDMModes
     from sdm.viz.family_sheet import check_picture
     from sdm.viz.model_sheet import model_sheet
@@ -38,19 +41,17 @@ def show(
         maps = SDMModes.load(model)
         shapes = [maps.map([0.0])]
         shapes += [maps.map([0.0] * k + [end]) for k in range(min(modes, len(maps.modes))) for end in (-3.0, 3.0)]
-        meshes = [field.to_mesh().numpy() for field in shapes]
+        meshes = [_surface(field) for field in shapes]
         facts = maps.facts
     else:
-        from sdm.shapes import load_family
-
-        family = load_family(model)
+        family = load_model(model)
         count = len(family.parameters)
         theta = [[0.0] * count]
         for k in range(min(modes, count)):
-            theta += [[end if j == k else 0.0 for j in range(count)] for end in (-family.limit, family.limit)]  # type: ignore[attr-defined]
+            theta += [[end if j == k else 0.0 for j in range(count)] for end in (-family.limit, family.limit)]
         meshes = [family.mesh(one).numpy() for one in theta]
-        facts = family.facts  # type: ignore[attr-defined]
-    model_sheet([(v, f) for v, f in meshes], facts, out, title=model.name)
+        facts = family.facts
+    model_sheet(meshes, facts, out, title=model.name)
     for name in ("generalisation", "specificity"):
         if name in facts and facts[name]["modes"]:
             curve = facts[name]
@@ -59,3 +60,13 @@ def show(
     print("compactness: " + ", ".join(f"{100 * x:.3g} % ({n + 1})" for n, x in enumerate(shares[:10])))
     print(f"{out}: the mean and {(len(meshes) - 1) // 2} modes of {model}")
     return None
+
+
+def _surface(field: SDM) -> tuple[Any, Any] | None:
+    """Vertices and faces of a mode's map; None of one that is nowhere inside, as ends of modes of maps may be."""
+    from sdm.errors import SDMError
+
+    try:
+        return field.to_mesh().numpy()
+    except SDMError:
+        return None
