@@ -119,13 +119,14 @@ class CountProgress(_Bar):
     Args:
         unit: What is counted.
         times: The clock of the pipeline behind it, to name the stage that the others wait for.
+        budget_s: Seconds after which the count ends wherever it is.
 
     What is done at the first call does not count for the rate.
     """
 
-    def __init__(self, unit: str, times: StageTimes | None = None) -> None:
+    def __init__(self, unit: str, times: StageTimes | None = None, *, budget_s: float | None = None) -> None:
         super().__init__(elapsed=False, transient=False)
-        self._unit, self._times = unit, times
+        self._unit, self._times, self._budget_s = unit, times, budget_s
         self._start_of_rate: tuple[float, int] | None = None
         self._logged = 0.0
 
@@ -136,11 +137,16 @@ class CountProgress(_Bar):
             self._start_of_rate, self._logged = (now, done), now
             return
         start, first = self._start_of_rate
-        line = (
-            f"{done:,} of {total:,} {self._unit}{_pace(done - first, total - done, now - start)}{_limit(self._times)}"
-        )
+        made, seconds, share = done - first, now - start, done / max(total, 1)
+        count = f"{done:,} of {total:,} {self._unit}"
+        pace = _pace(made, total - done, seconds)
+        if self._budget_s is not None and seconds / self._budget_s > share:
+            # The clock ends it, not the count.
+            left, share = max(0.0, self._budget_s - seconds), min(1.0, seconds / self._budget_s)
+            count, pace = f"{done:,} {self._unit}", _pace(made, left * made / max(seconds, 1e-9), seconds)
+        line = f"{count}{pace}{_limit(self._times)}"
         if self.on_terminal:
-            self.draw(line, done, max(total, 1))
+            self.draw(line, share, 1.0)
         elif now - self._logged >= LOG_INTERVAL:
             print(f"sdm: {line}", file=sys.stderr, flush=True)
             self._logged = now
@@ -151,7 +157,7 @@ def _limit(times: StageTimes | None) -> str:
     return f", {limit} limits" if limit else ""
 
 
-def _pace(made: int, left: int, seconds: float) -> str:
+def _pace(made: int, left: float, seconds: float) -> str:
     if made <= 0 or seconds <= 0:
         return ""
     rate = made / seconds

@@ -86,7 +86,7 @@ def deepsdf(
             for name, why in (*rejected, *found.rejected):
                 print(f"sdm: {name} is not used: {why}", file=sys.stderr)
         # Of several ranks the first writes.
-        with training_folder(out, lock=is_first()), CountProgress("steps") as progress:
+        with training_folder(out, lock=is_first()), CountProgress("steps", budget_s=budget_s) as progress:
             # Before the training, not at its first checkpoint.
             check_file(out / MODEL)
             path = train(

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from sdm.cli.common import progress as progress_module
+
 PROGRAM = """
 from sdm.cli.common.progress import CountProgress, FileProgress
 {body}
@@ -77,3 +79,19 @@ with CountProgress("maps", times) as progress:
     done = subprocess.run([sys.executable, "-c", PROGRAM.format(body=body)], check=True, capture_output=True, text=True)
     assert done.stderr.startswith("sdm: 2 of 4 maps, ")
     assert done.stderr.endswith(" left, read limits\n")
+
+
+def test_where_the_clock_ends_a_count_the_time_left_is_the_clock_s(monkeypatch, capsys):
+    now = 100.0
+    monkeypatch.setattr(progress_module, "LOG_INTERVAL", 0.0)
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now)
+    with progress_module.CountProgress("steps", budget_s=60.0) as progress:
+        progress(0, 1_000_000)
+        now = 140.0
+        progress(20, 1_000_000)
+    assert capsys.readouterr().err == "sdm: 20 steps, 0.5 a second, 0:00:20 left\n"
+    with progress_module.CountProgress("steps", budget_s=600.0) as progress:
+        progress(0, 40)
+        now = 180.0
+        progress(20, 40)
+    assert capsys.readouterr().err == "sdm: 20 of 40 steps, 0.5 a second, 0:00:40 left\n"
