@@ -79,7 +79,7 @@ def with_reference(family: Family, source: dict[str, Any] | None) -> dict[str, A
 
 
 def other_family(found: dict[str, Any], wanted: dict[str, Any]) -> str | None:
-    """What is other in the families of two manifests, in words; None where nothing is known to be."""
+    """The difference of the families of two manifests, in words; None where none is known."""
     one, other = ((manifest.get("source") or {}).get("reference") for manifest in (wanted, found))
     return difference(one, other) if isinstance(one, dict) and isinstance(other, dict) else None
 
