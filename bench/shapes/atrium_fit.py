@@ -158,6 +158,7 @@ def _fitted(model: Any, mesh: TriangleMesh, image: Tensor, grid: Grid, options: 
         "smoothed_level_set_mm": distance(_level_set(image, grid, 1.0), mesh, device),
         "explained": round(result.diagnosis.explained, 4),
         "trusted": result.trusted,
+        "problems": list(result.diagnosis.problems),
         "noise": round(free.noise, 2),
         "fit_s": round(middle - start, 2),
         "free_form_s": round(end - middle, 2),
