@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import sdm
@@ -87,6 +87,8 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
 
 
 @settings(max_examples=80)
+@example(torn(0.01, 0), (1, 6, 8), False, 5, 6)  # By edges on a CPU, where a GPU's way has boxes of 2^3.
+@example(torn(0.01, 0), (2, 1, 7), False, 5, 94)
 @given(
     mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(),
     last=st.sampled_from([0, 1, 2, 3, 4, 5, 5, -1]), seed=strategies.seeds,
