@@ -230,7 +230,8 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     report: dict[str, Any] = {}
     if given.only and given.out and given.out.exists():
-        rows = json.loads(given.out.read_text())["rows"]
+        before = json.loads(given.out.read_text())
+        rows = [{"commit": before["machine"]["commit"], **each} for each in before["rows"]]
     chosen = map(load_case, given.meshes) if given.meshes else itertools.chain(generated(), of_files(given.zoo))
     for case in chosen:
         if given.only and not any(part in case.name for part in given.only):
