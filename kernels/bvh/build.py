@@ -37,7 +37,7 @@ from sdm.kernels.launch import CURVE_SHARE, LIGHT_SHARE, launch
 from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
 from sdm.kernels.primitives.atomics import fetch_add, lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
-from sdm.kernels.primitives.lanes import GPU_LANES, least_of_block, least_of_lanes, wait_for_block
+from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes
 from sdm.kernels.primitives.vector_loads import write4
 
 wp.set_module_options({"enable_backward": False})
@@ -45,8 +45,6 @@ wp.set_module_options({"enable_backward": False})
 # Triangles that each lane looks at for the mesh's bounds, of few and of many.
 FEW_RUN, RUN = 2, 8
 FEW_TRIANGLES = 1 << 15
-# Most triangles that one block of threads brings into a frame, and how many it has.
-MOST_OF_FEW, BLOCK_OF_FEW = 1 << 13, 1 << 10
 LARGEST_SCALE = wp.float64(2.0**126)
 # Bytes of a triangle's corners on the lattice.
 _LATTICE_SIZE = 24
@@ -92,9 +90,9 @@ def _reduce_bounds(
             lessen(bounds, 6 * mesh + 3 + axis, other)
 
 
-@wp.func
-def make_frame(bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.float64), mesh: int):
-    """Fill a mesh's frame, given its lowest coordinates and, with the other sign, its highest, which get their own."""
+@wp.kernel
+def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.float64)):
+    mesh = begin + wp.tid()
     largest = wp.float64(0.0)
     for i in range(6):
         if i >= 3:
@@ -124,11 +122,6 @@ def make_frame(bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.floa
     frame[base + DIAGONAL] = wp.sqrt(diagonal2)
     frame[base + REACH] = largest * scale
     frame[base + LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
-
-
-@wp.kernel
-def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.float64)):
-    make_frame(bounds, frame, begin + wp.tid())
 
 
 @wp.func
@@ -201,55 +194,6 @@ def _make_short_keys(
     # See `rank_sort`.
     if counts.shape[0] > 0 and i < tree_of(tree, 0).count:
         fetch_add(counts, bucket_of(key, 3 * bits), 1)
-
-
-# In a module of its own, as a module's blocks are all alike.
-@wp.kernel(launch_bounds=(BLOCK_OF_FEW, 1), enable_backward=False, module="unique")
-def _begin_few(
-    begin: int,
-    threads: int,
-    tree: Tree,
-    vertices: wp.array2d(dtype=wp.vec3),
-    faces: wp.array2d(dtype=wp.int32),
-    bounds: wp.array(dtype=wp.float32),
-    bits: int,
-    numbered: int,
-    keys: wp.array(dtype=wp.int32),
-    slots: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-):
-    """All that comes before triangles are put in order, each mesh's by one block of so many threads."""
-    mesh = (begin + wp.tid()) / threads
-    thread = (begin + wp.tid()) % threads
-    one = tree_of(tree, mesh)
-    rows = rows_before(tree, mesh)
-    low = wp.vec3(wp.inf, wp.inf, wp.inf)
-    lowest = low
-    face = int(thread)
-    while face < one.count:
-        for corner in range(3):
-            v = vertices[mesh, faces[rows + face, corner]]
-            low = wp.min(low, v)
-            lowest = wp.min(lowest, -v)
-        face = face + threads
-    for axis in range(3):
-        least = least_of_block(low[axis])
-        other = least_of_block(lowest[axis])
-        if thread == 0:
-            bounds[6 * mesh + axis] = least
-            bounds[6 * mesh + 3 + axis] = other
-    if thread == 0:
-        make_frame(bounds, tree.frame, mesh)
-    wait_for_block()
-    face = int(thread)
-    while face < one.count:
-        i = slots_of(one, mesh) + face
-        key, f = sorting_key(tree, vertices, faces, bounds, bits, numbered, i)
-        keys[i] = wp.int32(key)
-        slots[i] = f
-        if counts.shape[0] > 0 and mesh == 0:
-            fetch_add(counts, bucket_of(key, 3 * bits), 1)
-        face = face + threads
 
 
 @wp.kernel
@@ -328,27 +272,13 @@ def build_tree(
         is_bounded: `bounds` are as `reduce_bounds` leaves them.
         counts: Zeros for `RankSort`, if there are any.
     """
-    meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
-    bits, all_bits = _bits(tree, meshes, fillers)
+    meshes = vertices.shape[0]
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
-    is_few = device.is_cuda and not (fillers or is_bounded) and tree.count <= MOST_OF_FEW
-    if is_few and is_ranked(total, meshes, fillers, all_bits):
-        ranks = RankSort(keys, slots, all_bits)
-        inputs = [BLOCK_OF_FEW, tree, vertices, faces, bounds, bits, int(not fillers), ranks.short, slots, ranks.counts]
-        launch(_begin_few, meshes * BLOCK_OF_FEW, inputs, device, BLOCK_OF_FEW)
-        _fill(tree, vertices, faces, ranks.order(tree), normals, gathered)
-        return
     if not is_bounded:
-        launch(_reset_bounds, 6 * meshes, [bounds], device)
+        launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
         reduce_bounds(tree, vertices, faces, bounds)
-    launch(_make_frames, meshes, [bounds, tree.frame], device)
+    launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers, counts=counts)
-
-
-def _bits(tree: Tree, meshes: int, fillers: bool) -> tuple[int, int]:
-    """Bits of the curve's codes along each axis, and of keys, which have the meshes' numbers above."""
-    bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
-    return bits, 3 * bits + (0 if fillers else (meshes - 1).bit_length())
 
 
 def build_in_frame(
@@ -365,8 +295,11 @@ def build_in_frame(
     counts: wp.array | None = None,
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
-    meshes, total, device = vertices.shape[0], tree.face.shape[0], vertices.device
-    bits, all_bits = _bits(tree, meshes, fillers)
+    device = vertices.device
+    meshes, total = vertices.shape[0], tree.face.shape[0]
+    bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
+    # The meshes' numbers are above the curve's codes.
+    all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
     inputs = [tree, vertices, faces, bounds, bits, int(not fillers)]
     order = slots
     if device.is_cuda and is_ranked(total, meshes, fillers, all_bits):
@@ -381,20 +314,7 @@ def build_in_frame(
     else:
         launch(_make_keys, total, [*inputs, keys, slots], device, smallest=CURVE_SHARE)
         wp.utils.radix_sort_pairs(keys, slots, total, end_bit=all_bits)
-    _fill(tree, vertices, faces, order, normals, gathered)
-
-
-def _fill(
-    tree: Tree,
-    vertices: wp.array,
-    faces: wp.array,
-    order: wp.array,
-    normals: wp.array,
-    gathered: Callable[[], None] | None,
-) -> None:
-    """Fill a tree whose frame and the order of whose triangles are known."""
-    inputs = [vertices, faces, order, tree, normals]
-    launch(_gather_triangles, tree.face.shape[0], inputs, vertices.device, smallest=LIGHT_SHARE)
+    launch(_gather_triangles, total, [vertices, faces, order, tree, normals], device, smallest=LIGHT_SHARE)
     if gathered is not None:
         gathered()
-    bound_nodes(tree, vertices.shape[0])
+    bound_nodes(tree, meshes)

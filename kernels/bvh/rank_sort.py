@@ -22,9 +22,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Most triangles that compare themselves with all others, and that are sorted here at all: if all were in one bucket, of
 # more each would be compared with too many.
-COMPARED, LARGEST = 6144, 20_481
-# Most of the first where zeros to count by are there, so that no memset comes before.
-COMPARED_BY_ZEROS = 2560
+COMPARED, LARGEST = 2560, 20_481
 # Bits of a key that tell its bucket.
 BUCKET_BITS = 10
 BUCKETS = wp.constant(1 << BUCKET_BITS)
@@ -183,8 +181,7 @@ class RankSort:
         def part(at: int, length: int, dtype: Any) -> Any:
             return array_at(at, (length,), dtype, device.alias)
 
-        most = COMPARED if counts is None else COMPARED_BY_ZEROS
-        total, buckets = self._total, (1 << BUCKET_BITS) if self._total > most else 0
+        total, buckets = self._total, (1 << BUCKET_BITS) if self._total > COMPARED else 0
         self.short = part(keys.ptr, total, wp.int32)
         self._numbers, self._ordered = part(slots.ptr, total, wp.int32), part(slots.ptr + 4 * total, total, wp.int32)
         self._placed = part(keys.ptr + 8 * (-(-total // 2)), total, wp.int64)

@@ -367,26 +367,6 @@ def wait_for_lanes():
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    __shared__ float of_group[32];
-    for (int step = 16; step > 0; step >>= 1)
-        value = fminf(value, __shfl_xor_sync(0xffffffffu, value, step));
-    // Another call's may still be read.
-    __syncthreads();
-    if (threadIdx.x % 32 == 0) of_group[threadIdx.x / 32] = value;
-    __syncthreads();
-    for (int group = 0; group < blockDim.x / 32; ++group) value = fminf(value, of_group[group]);
-#endif
-    return value;
-"""
-)
-def least_of_block(value: float) -> float:
-    """The least value of all threads of a block, whole groups of lanes, each of which has to ask."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 """
