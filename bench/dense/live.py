@@ -116,7 +116,7 @@ def _waits(way: Callable[[Tensor], Tensor], moved: list[Tensor], gpu: bool) -> i
                 way(vertices)
         finally:
             torch.cuda.set_sync_debug_mode("default")
-    return counted + len([warning for warning in caught if "synchroniz" in str(warning.message)])
+    return counted + len([warning for warning in caught if "called a synchronizing" in str(warning.message)])
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
