@@ -11,6 +11,7 @@ from sdm.deepsdf.networks.model import CHUNK, DeepSDF
 from sdm.deepsdf.samples import UnitSphere
 from sdm.errors import SDMError
 from sdm.fit.model.backend import Distances
+from sdm.runtime.threads import threads
 from sdm.shapes import Parameter
 
 # Components of the training's codes: as many as hold this share of their variance, at most so many.
@@ -60,6 +61,8 @@ class DeepSDFBackend:
         self.centre = torch.zeros(3, dtype=torch.float64, device=self.device)
         self.slack = SLACK * factor * max(radii)
         self.evaluations = 0
+        # A fit gives torch one thread, which is too few for a network.
+        self._threads = torch.get_num_threads()
         self._theta: Tensor | None = None
 
     def code(self, theta: Tensor) -> Tensor:
@@ -70,14 +73,15 @@ class DeepSDFBackend:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
         self._count(theta)
         radius = self._radius(theta)
-        with torch.no_grad():
+        with torch.no_grad(), threads(self._threads):
             return radius * self.model.signed_distance((points / radius).float(), self.code(theta)).double()
 
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
         """The same with their derivatives by theta and point."""
         self._count(theta)
         radius = self._radius(theta)
-        parts = [self._unit(theta, part) for part in (points / radius).float().split(CHUNK)]
+        with threads(self._threads):
+            parts = [self._unit(theta, part) for part in (points / radius).float().split(CHUNK)]
         values, by_code, slope = (torch.cat(x) for x in zip(*parts, strict=True))
         # d(r f(x / r)) / dr = f - (x / r) . grad f; the radius is `factor` times the parameter.
         by_size = self.factor * (values - (points / radius * slope).sum(1))

@@ -15,6 +15,7 @@ from sdm.fit.model.backend import Backend
 from sdm.fit.model.pose import State, rotation_from_vector
 from sdm.fit.model.prior import Prior
 from sdm.fit.solve.posterior import Posterior
+from sdm.runtime.threads import one_thread_for
 
 FEWEST, MOST = 20, 200_000
 STEPS, FIRST_STEPS, TOLERANCE = 60, 8, 1e-3
@@ -97,21 +98,22 @@ def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float
     turns = [torch.zeros(3, device="cpu")] + [
         s * TURNED * turn * torch.eye(3, device="cpu")[axis] for axis in range(3) for s in (-1.0, 1.0)
     ]
-    best: tuple[float, PointFit] | None = None
-    for vector in turns:
-        rotation = rotation_from_vector(vector.to(given))
-        found = _search(given, backend, prior, State(theta, rotation, middle, pose.centre), extent, FIRST_STEPS)
-        if best is None or found[0] < best[0]:
-            best = found
-    assert best is not None  # noqa: S101 - there is always a start
-    return _search(given, backend, prior, best[1].posterior.state, extent, STEPS)[1]
+    with one_thread_for(len(given), given.device):
+        best: tuple[float, PointFit] | None = None
+        for vector in turns:
+            rotation = rotation_from_vector(vector.to(given))
+            found = _search(given, backend, prior, State(theta, rotation, middle, pose.centre), extent, FIRST_STEPS)
+            if best is None or found[0] < best[0]:
+                best = found
+        assert best is not None  # noqa: S101 - there is always a start
+        return _search(given, backend, prior, best[1].posterior.state, extent, STEPS)[1]
 
 
 def _search(
     points: Tensor, backend: Backend, prior: Prior, state: State, extent: float, most: int
 ) -> tuple[float, PointFit]:
     """The optimum from one start, and minus its log posterior density."""
-    damping, at = 1e-3, _evaluate(points, backend, prior, state, extent)
+    damping, at = 1e-3, _weighed(*_looked_up(points, backend, state), prior, state, extent)
     converged, steps = False, 0
     while steps < most:
         steps += 1
@@ -123,11 +125,11 @@ def _search(
             converged = True
             break
         moved = state.moved(step)
+        found = _looked_up(points, backend, moved)
         # Judged with the noise of the state it started from.
-        fresh = _evaluate(points, backend, prior, moved, extent, noise)
-        if fresh[0] < objective:
+        if _objective(found[0], noise, prior, moved) < objective:
             state, damping = moved, max(damping / 10, 1e-9)
-            at = _evaluate(points, backend, prior, state, extent)
+            at = _weighed(*found, prior, state, extent)
         elif damping > 1e6:
             converged = length < 0.1
             break
@@ -143,18 +145,18 @@ def _search(
 Evaluated = tuple[float, Tensor, Tensor, float, Tensor]
 
 
-def _evaluate(
-    points: Tensor, backend: Backend, prior: Prior, state: State, extent: float, noise: float | None = None
-) -> Evaluated:
-    """Objective, gradient, curvature, noise and distances; the noise is estimated if it is not given."""
+def _looked_up(points: Tensor, backend: Backend, state: State) -> tuple[Tensor, Tensor]:
+    """Distances (N,) of points from the shape at a state, and their derivatives (N,P+6) by its increments."""
     inside = state.to_shape(points)
     found = backend.with_derivatives(state.theta, inside)
-    d = found.values
-    if noise is None:
-        # 1.4826 makes the median deviation that of a Gaussian; outliers have no say in it.
-        noise = max(1.4826 * float(d.abs().median()), 1e-5 * extent)
+    return found.values, state.chain(inside, found.by_theta, found.by_point)
+
+
+def _weighed(d: Tensor, jacobian: Tensor, prior: Prior, state: State, extent: float) -> Evaluated:
+    """Objective, gradient, curvature, noise and distances: the noise is that of the distances."""
+    # 1.4826 makes the median deviation that of a Gaussian; outliers have no say in it.
+    noise = max(1.4826 * float(d.abs().median()), 1e-5 * extent)
     pull = (OUTLIER * noise / d.abs().clamp_min(1e-30)).clamp_max(1.0) / noise**2
-    jacobian = state.chain(inside, found.by_theta, found.by_point)
     residual = prior.residual(state)
     gradient = jacobian.T @ (pull * d) + prior.precision * residual
     curvature = (jacobian.T * pull) @ jacobian + prior.precision.diag()
