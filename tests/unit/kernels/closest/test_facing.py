@@ -37,10 +37,10 @@ def test_both_ways_find_the_same_triangles():
     tree = structure.view[0]
     # Corners, middles of edges, and middles of faces: on six faces, on two, and on one.
     where = np.concatenate([vertices[faces[:200, 0]], vertices[faces[:200, :2]].mean(1), vertices[faces[:200]].mean(1)])
-    points = wp.array(float(tree.frame.numpy()[SCALE]) * where.astype(np.float64), dtype=wp.vec3d)
+    points = wp.array(float(tree.frame.numpy()[SCALE]) * where.astype(np.float64), dtype=wp.vec3d, device="cpu")
     slot_of = np.argsort(tree.face.numpy())
-    slots = wp.array(np.tile(slot_of[:200], 3).astype(np.int32), dtype=int)
-    seen = wp.zeros((600, 6), dtype=int)
+    slots = wp.array(np.tile(slot_of[:200], 3).astype(np.int32), dtype=int, device="cpu")
+    seen = wp.zeros((600, 6), dtype=int, device="cpu")
     wp.launch(_look, 600, inputs=[tree, points, slots, seen], device="cpu")
     # Each but the one that it is given.
     np.testing.assert_array_equal(seen.numpy(), np.repeat([5, 1, 0], 200)[:, None].repeat(6, 1))

@@ -88,19 +88,19 @@ def test_shares_are_right_within_their_errors(mesh, tolerance):
     ways *= rng.uniform(0, 1, (count, POINTS, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
     ways[:20, 0] = 0
     blocks = -(-boundary.count // SIXTEEN)
-    rows, packed = wp.zeros(ROW * blocks, dtype=wp.float32), wp.zeros(1, dtype=int)
+    rows, packed = wp.zeros(ROW * blocks, dtype=wp.float32, device="cpu"), wp.zeros(1, dtype=int, device="cpu")
     wp.launch(pack_edges, 1, inputs=[0, boundary, blocks, rows, packed], device="cpu")
     length = int(packed.numpy()[0])
     assert length == len(np.unique(ends.reshape(-1, 6), axis=0))
-    found = wp.zeros((count, 2 * POINTS, 2), dtype=wp.float64)
+    found = wp.zeros((count, 2 * POINTS, 2), dtype=wp.float64, device="cpu")
     given = [
         rows,
         length,
-        wp.zeros(count * PLACES, dtype=wp.float32),
-        wp.array(np.hstack([centres, radius]).astype(np.float32), dtype=wp.vec4),
-        wp.array(ways.astype(np.float32), dtype=wp.vec3),
+        wp.zeros(count * PLACES, dtype=wp.float32, device="cpu"),
+        wp.array(np.hstack([centres, radius]).astype(np.float32), dtype=wp.vec4, device="cpu"),
+        wp.array(ways.astype(np.float32), dtype=wp.vec3, device="cpu"),
         tolerance,
-        wp.zeros((count, LARGE_STACK_ON_CPU), dtype=int),
+        wp.zeros((count, LARGE_STACK_ON_CPU), dtype=int, device="cpu"),
     ]
     wp.launch(_look, count, inputs=[tree, boundary, *given, found], device="cpu")
     off, error = np.moveaxis(found.numpy(), 2, 0)

@@ -70,12 +70,12 @@ def test_shares_are_right_within_their_errors(mesh, tolerance):
     centres = scale * (low + (high - low) * rng.uniform(-0.2, 1.2, (count, 3)))
     ways = rng.normal(size=(count, POINTS, 3))
     ways *= rng.uniform(0, 1, (count, POINTS, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
-    found = wp.zeros((count, 2 * POINTS, 2), dtype=wp.float64)
+    found = wp.zeros((count, 2 * POINTS, 2), dtype=wp.float64, device="cpu")
     given = [
-        wp.array(np.hstack([centres, radius]).astype(np.float32), dtype=wp.vec4),
-        wp.array(ways.astype(np.float32), dtype=wp.vec3),
+        wp.array(np.hstack([centres, radius]).astype(np.float32), dtype=wp.vec4, device="cpu"),
+        wp.array(ways.astype(np.float32), dtype=wp.vec3, device="cpu"),
         tolerance,
-        wp.zeros((count, LARGE_STACK_ON_CPU), dtype=int),
+        wp.zeros((count, LARGE_STACK_ON_CPU), dtype=int, device="cpu"),
     ]
     wp.launch(_look, count, inputs=[tree, winding.boundary, *given, found], device="cpu")
     off, error = np.moveaxis(found.numpy(), 2, 0)
