@@ -18,4 +18,4 @@ WAYS = ("threads", "processes") if can_share() else ("threads",)
 
 def words(way: str) -> list[str]:
     """A command line up to the arguments of `sdm generate`."""
-    return [sys.executable, *(("-c", BY_PROCESSES) if way == "processes" else ("-m", "sdm.cli")), "generate"]
+    return [sys.executable, *(("-c", BY_PROCESSES) if way == "processes" else ("-m", "sdm")), "generate"]

@@ -31,6 +31,6 @@ def test_the_options_of_the_page_are_there(root: Path) -> None:
     assert set(shown) == {"train deepsdf", "encode", "decode"}
     for command, options in shown.items():
         said = subprocess.run(
-            [sys.executable, "-m", "sdm.cli", *command.split(), "--help"], capture_output=True, text=True, check=True
+            [sys.executable, "-m", "sdm", *command.split(), "--help"], capture_output=True, text=True, check=True
         ).stdout
         assert options <= set(re.findall(r"--[a-z-]+", said)), command

@@ -16,7 +16,7 @@ WORDS += ["--width", "16", "--device", "cpu"]
 
 def trained(folder: Path, processes: int) -> dict[str, torch.Tensor]:
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes), "--no-python"]
-    command = [sys.executable, "-m", "sdm.cli", *WORDS, "--out", str(folder)]
+    command = [sys.executable, "-m", "sdm", *WORDS, "--out", str(folder)]
     done = subprocess.run(
         [sys.executable, *launcher, *command],
         env={**os.environ, "OMP_NUM_THREADS": "1"},

@@ -83,7 +83,7 @@ def test_maps_have_modes_too(meshes, tmp_path, scale):
     again = SDMModes.load(tmp_path / "maps.npz")
     assert torch.equal(again.modes, model.modes)
     assert again.map([1.0]).to_mesh().faces.shape[0] > 100
-    with pytest.raises(FormatError, match="not a sdm shape model"):
+    with pytest.raises(FormatError, match="a shape model of points is needed"):
         load_family(tmp_path / "maps.npz")
 
 
@@ -113,7 +113,7 @@ def test_commands_build_and_show(meshes, tmp_path, monkeypatch, capsys):
         ("build a.ply b.ply open.ply -o m.npz --device cpu", "open.ply is not closed"),
         ("build a.ply b.ply c.ply -o m.npz --method sdm --lay", "are for models of points"),
         ("build a.ply same.ply again.ply -o m.npz", "all alike"),
-        ("show a.ply -o a.png", "MODEL.npz"),
+        ("show a.ply -o a.png", "is not a shape model: give a file that sdm shape-model build wrote"),
         ("show junk.npz -o a.png", "is not a shape model"),
         ("show none.npz -o a.png", "cannot be read"),
     ],
