@@ -251,10 +251,16 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
 
 
 def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor, flags: Tensor, host: int) -> None:
-    told = (mesh.counts, neighbours.view(-1), unmatched.view(-1), boundary, flags)
-    counts, *numbers = (as_warp(tensor, wp.int32) for tensor in told)
     with on_current_stream(neighbours):
-        tell(counts, as_warp(mesh.addresses, wp.int64), *numbers, host)
+        tell(
+            as_warp(mesh.counts, wp.int32),
+            as_warp(mesh.addresses, wp.int64),
+            as_warp(neighbours.view(-1), wp.int32),
+            as_warp(unmatched.view(-1), wp.int32),
+            as_warp(boundary, wp.int32),
+            as_warp(flags, wp.int32),
+            host,
+        )
 
 
 def _queue_map(

@@ -58,7 +58,7 @@ class Recording:
         self._verified = torch.cuda.Event(external=True)
         self._flags = torch.zeros(MOST_FLAGS, dtype=torch.int32, pin_memory=True)
         # The same memory: the host writes and reads a few numbers.
-        self._said = memoryview(self._flags.numpy())
+        self._said = self._flags.numpy().data
 
     def _record(self, queue: Callable[[], None]) -> None:
         """Make the graph of what `queue` queues, in memory that goes with the graph."""
@@ -219,7 +219,7 @@ class TableRecording(Recording):
         self._spare: list[Any] = []
         with _plain(table.device):
             self._table = _pinned(table.length)
-            self._room = memoryview(self._table.numpy())
+            self._room = self._table.numpy().data
             queue = partial(self._queue_own, work)
             if (table.device, table.family) not in _loaded:
                 _do_once(work, table)
@@ -280,7 +280,7 @@ class TableRecording(Recording):
 def _do_once(work: Work, table: Table) -> None:
     """Load what is loaded on first use, by the work with a table of its own."""
     once = _pinned(table.length)
-    results = table.fill(memoryview(once.numpy()), table.new())
+    results = table.fill(once.numpy().data, table.new())
     work(unverified, once)
     # Nobody else knows that the device reads it.
     torch.cuda.current_stream().synchronize()
