@@ -36,6 +36,7 @@ def run_here(
         return
     # A forked process cannot use CUDA.
     context = multiprocessing.get_context("spawn")
+    before = set(threading.enumerate())
     todo: Any = context.Queue()
     said: Any = context.Queue()
     jobs: Any = context.Queue()
@@ -65,6 +66,7 @@ def run_here(
         for worker in workers:
             worker.terminate()
             worker.join()
+        _let_go([todo, jobs], before)
 
 
 def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
@@ -81,6 +83,20 @@ def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
         if kind == "error":
             raise SDMError(what)
         return what
+
+
+def _let_go(queues: list[Any], before: set[threading.Thread]) -> None:
+    """Close queues, and wait for the threads behind them, which were not there before.
+
+    Such a thread drops its queue's locks as it ends. At the end of Python it may be stopped in the middle of that, and
+    Python warns of a lock that is gone.
+    """
+    for ended in queues:
+        ended.close()
+    for thread in set(threading.enumerate()) - before:
+        if thread.name == "QueueFeederThread":
+            # One whose processes died may wait for a reader for ever.
+            thread.join(PATIENCE)
 
 
 def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
