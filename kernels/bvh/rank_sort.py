@@ -181,7 +181,7 @@ class RankSort:
         def part(at: int, length: int, dtype: Any) -> Any:
             return array_at(at, (length,), dtype, device.alias)
 
-        total, buckets = self._total, (1 << BUCKET_BITS) if self._total > COMPARED else 0
+        total, buckets = self._total, BUCKETS if self._total > COMPARED else 0
         self.short = part(keys.ptr, total, wp.int32)
         self._numbers, self._ordered = part(slots.ptr, total, wp.int32), part(slots.ptr + 4 * total, total, wp.int32)
         self._placed = part(keys.ptr + 8 * (-(-total // 2)), total, wp.int64)

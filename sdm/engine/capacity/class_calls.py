@@ -21,7 +21,7 @@ from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
-from sdm.kernels.bvh.rank_sort import BUCKET_BITS
+from sdm.kernels.bvh.rank_sort import BUCKETS
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import OwnStages, Pending, Surface, Target, output_of, run_stages
@@ -42,7 +42,6 @@ from sdm.topology.face_pairing import queue_pairing
 Instead: TypeAlias = Callable[[], "TableCall[ClassMap] | None"]
 Key: TypeAlias = tuple[str, CapacityClass, int]
 # Zeros that kernels of a map need: those of a sort, and a few.
-BUCKETS = 1 << BUCKET_BITS
 ZEROS = BUCKETS + 64
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
