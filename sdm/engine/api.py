@@ -169,8 +169,11 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
     vertices, nbytes = mesh.vertices, 4 * math.prod(grid.shape)
     if nbytes > SMALL or has_forward_mode() or not graphs.supports(vertices):
         return None
-    where = vertices.device
-    if device is not None and device != where and (device != "cuda" or where.index != current_device()):
+    # "cuda" is the current one. To compare a name with a device takes the host longer than to ask for its number.
+    if device == "cuda":
+        if vertices.get_device() != current_device():
+            return None
+    elif device is not None and device != vertices.device:
         return None
 
     def make(values: Tensor) -> SDM:
@@ -180,7 +183,7 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
     try:
         field, ambiguous = mesh_map(vertices, mesh.faces, grid, make)
     except torch.OutOfMemoryError:
-        with memory_guard(nbytes, where, partial(described, grid)):
+        with memory_guard(nbytes, vertices.device, partial(described, grid)):
             raise
     return field if ambiguous is None else field.counted_later(ambiguous)
 

@@ -50,8 +50,9 @@ def differentiate(name: str, backward: Callable[..., Any], setup_context: Callab
     torch.library.register_autograd(f"sdm::{name}", backward, setup_context=setup_context, lib=_LIBRARY)
 
 
-# Without the looks for them at each call; compilers know the function itself.
-is_compiling = torch.compiler.is_compiling
+# Without the looks for them at each call; the compiler knows the function itself. What else traces has a mode, or
+# tensors of its own kind.
+is_compiling = torch.compiler.is_dynamo_compiling
 _PLAIN = (Tensor, torch.nn.Parameter)
 
 

@@ -34,6 +34,15 @@ _REFUSED = -(1 << 62)
 _NEEDED = {False: CALLS, True: CALLS_OF_MANY}
 
 
+class _Kept:
+    """A recording that is kept, and how often it was used: what a call has to look at lies together."""
+
+    __slots__ = ("for_many", "recording", "used")
+
+    def __init__(self, recording: Recording, for_many: bool) -> None:
+        self.recording, self.for_many, self.used = recording, for_many, 0
+
+
 class GraphCache:
     """The recordings of one device: those used last.
 
@@ -52,10 +61,8 @@ class GraphCache:
         self._most, self._recordings = most, recordings
         self._capture = capture
         self._pool = MemoryPool()
-        self._captured: OrderedDict[Hashable, Recording] = OrderedDict()
+        self._captured: OrderedDict[Hashable, _Kept] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
-        self._used: dict[Hashable, int] = {}
-        self._for_many: set[Hashable] = set()
         self._needed = dict(_NEEDED)
 
     @property
@@ -77,12 +84,13 @@ class GraphCache:
     def find(self, key: Hashable) -> Recording | None:
         """The recording of the calls with a key, if there is one."""
         found = self._captured.get(key)
-        if found is not None:
-            self._captured.move_to_end(key)
-            self._used[key] += 1
-            if self._used[key] == WELL_WORTH:
-                self._needed[key in self._for_many] = _NEEDED[key in self._for_many]
-        return found
+        if found is None:
+            return None
+        self._captured.move_to_end(key)
+        found.used += 1
+        if found.used == WELL_WORTH:
+            self._needed[found.for_many] = _NEEDED[found.for_many]
+        return found.recording
 
     def count(
         self,
@@ -109,9 +117,9 @@ class GraphCache:
         if self._calls[key] < self._needed[for_many] + later or key in self._captured:
             return
         self._calls[key] = 0
-        alike = [other for other in self._captured if (other in self._for_many) == for_many]
+        alike = [other for other, kept in self._captured.items() if kept.for_many == for_many]
         for oldest in alike[: max(0, len(alike) + 1 - self._recordings)]:
-            self._raise_threshold(for_many, self._used[oldest])
+            self._raise_threshold(for_many, self._captured[oldest].used)
             self.drop(oldest)
         try:
             made = (capture or self._capture)(self._pool, work, inputs)
@@ -121,14 +129,12 @@ class GraphCache:
             warnings.warn(f"a call could not be recorded, and will not be replayed: {error}", stacklevel=2)
             return
         if self._pool.nbytes <= self._most:
-            self._captured[key], self._used[key] = made, 0
-            if for_many:
-                self._for_many.add(key)
+            self._captured[key] = _Kept(made, for_many)
             return
         if not self._captured:
             self._calls[key] = _REFUSED
         # Memory of one pool goes back together.
-        self._raise_threshold(for_many, min(self._used.values(), default=WORTH))
+        self._raise_threshold(for_many, min((kept.used for kept in self._captured.values()), default=WORTH))
         self.clear()
 
     def _raise_threshold(self, for_many: bool, used: int) -> None:
@@ -139,8 +145,6 @@ class GraphCache:
     def drop(self, key: Hashable) -> None:
         """Forget a recording."""
         self._captured.pop(key, None)
-        self._used.pop(key, None)
-        self._for_many.discard(key)
         if not self._captured:
             self.clear()
 
@@ -153,6 +157,4 @@ class GraphCache:
     def clear(self) -> None:
         """Give up all recordings; those under way go on."""
         self._captured.clear()
-        self._used.clear()
-        self._for_many.clear()
         self._pool = MemoryPool(self._pool)

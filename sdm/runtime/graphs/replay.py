@@ -210,9 +210,10 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
     """
     of, instead = call.of, None
     with _lock:
-        cache = _caches.get(of.device) or _cache_of(of.device)
-        captured = cache.find(of.key)
+        cache = _caches.get(of.device)
+        captured = None if cache is None else cache.find(of.key)
         if captured is None:
+            cache = _cache_of(of.device)
             instead = None if call.instead is None else call.instead()
             table = Table(of.device, of.length, of.new, of.spare, call.fill, of.family)
             later = of.later + (PATIENCE if instead else 0)
