@@ -16,7 +16,7 @@ from sdm.kernels.bvh.tree import Tree, tree_of
 from sdm.kernels.launch import LIGHT_SHARE, launch
 from sdm.kernels.launches.arrays import array_at
 from sdm.kernels.primitives.atomics import fetch_add
-from sdm.kernels.primitives.lanes import GPU_LANES, int_from_lane, sum_of_lanes
+from sdm.kernels.primitives.lanes import GPU_LANES, int_from_lane, sum_of_lanes, sum_of_some
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,11 +26,13 @@ COMPARED, LARGEST = 2560, 20_481
 # Bits of a key that tell its bucket.
 BUCKET_BITS = 10
 BUCKETS = wp.constant(1 << BUCKET_BITS)
-# Numbers that are loaded at a time, as each takes long to arrive.
-AT_ONCE = 8
+# Numbers that are loaded at a time, as each takes long to arrive; and those of a bucket by each of the lanes of a GPU
+# that share its keys: where a mesh is fine, there may be thousands of them.
+AT_ONCE, OF_BUCKET = 8, 4
+SHARING = 8
 
 Counts = wp.types.vector(length=AT_ONCE, dtype=wp.int32)
-Keys = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
+Keys = wp.types.vector(length=OF_BUCKET, dtype=wp.int64)
 
 
 @wp.kernel
@@ -55,10 +57,14 @@ def _rank(
     before = int(0)
     other = lane
     while other < own:
-        its = keys[other]
-        if its < key or (its == key and other < slot):
-            before = before + 1
-        other = other + lanes
+        some = Counts()
+        for k in range(AT_ONCE):
+            some[k] = keys[wp.min(other + k * lanes, own - 1)]
+        for k in range(AT_ONCE):
+            at = other + k * lanes
+            if at < own and (some[k] < key or (some[k] == key and at < slot)):
+                before = before + 1
+        other = other + AT_ONCE * lanes
     # Small numbers, which floats hold exactly.
     before = int(sum_of_lanes(float(before)))
     if lane == 0:
@@ -127,6 +133,7 @@ def _place(
 @wp.kernel
 def _rank_in_bucket(
     begin: int,
+    each: int,
     tree: Tree,
     bits: int,
     starts: wp.array(dtype=wp.int32),
@@ -134,24 +141,35 @@ def _rank_in_bucket(
     slots: wp.array(dtype=wp.int32),
     ordered: wp.array(dtype=wp.int32),
 ):
-    number = begin + wp.tid()
-    if number >= tree_of(tree, 0).count:
-        ordered[number] = slots[number]
-        return
-    mine = placed[number]
-    bucket = bucket_of(mine >> wp.int64(32), bits)
-    before = starts[bucket]
-    other = starts[bucket]
-    end = starts[bucket + 1]
-    while other < end:
-        some = Keys()
-        for k in range(AT_ONCE):
-            some[k] = placed[wp.min(other + k, end - 1)]
-        for k in range(AT_ONCE):
-            if other + k < end and some[k] < mine:
-                before = before + 1
-        other = other + AT_ONCE
-    ordered[before] = int(mine & wp.int64(0x7FFFFFFF))
+    """`each` neighbouring lanes for each number; all of a group stay to the end."""
+    thread = begin + wp.tid()
+    lane = thread % each
+    number = thread / each
+    is_own = number < tree_of(tree, 0).count
+    mine = wp.int64(0)
+    first = int(0)
+    before = int(0)
+    if is_own:
+        mine = placed[number]
+        bucket = bucket_of(mine >> wp.int64(32), bits)
+        first = starts[bucket]
+        other = first + lane
+        end = starts[bucket + 1]
+        while other < end:
+            some = Keys()
+            for k in range(OF_BUCKET):
+                some[k] = placed[wp.min(other + k * each, end - 1)]
+            for k in range(OF_BUCKET):
+                if other + k * each < end and some[k] < mine:
+                    before = before + 1
+            other = other + OF_BUCKET * each
+    # Small numbers, which floats hold exactly.
+    before = int(sum_of_some(float(before), each))
+    if lane == 0:
+        if is_own:
+            ordered[first + before] = int(mine & wp.int64(0x7FFFFFFF))
+        elif number < ordered.shape[0]:
+            ordered[number] = slots[number]
 
 
 def is_ranked(total: int, meshes: int, fillers: bool, bits: int) -> bool:
@@ -204,6 +222,8 @@ class RankSort:
         launch(_begin_buckets, lanes, [lanes, self.counts, self._starts], device)
         inputs = [tree, bits, self.short, self.counts, self._placed]
         launch(_place, total, inputs, device, smallest=LIGHT_SHARE)
-        inputs = [tree, bits, self._starts, self._placed, self._numbers, self._ordered]
-        launch(_rank_in_bucket, total, inputs, device, smallest=LIGHT_SHARE)
+        each = SHARING if device.is_cuda else 1
+        inputs = [each, tree, bits, self._starts, self._placed, self._numbers, self._ordered]
+        # Whole groups.
+        launch(_rank_in_bucket, -(-total * each // lanes) * lanes, inputs, device, smallest=LIGHT_SHARE)
         return self._ordered

@@ -30,9 +30,12 @@ wp.set_module_options({"enable_backward": False})
 WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
 ALL_UNMATCHED, ALL_EDGES, NUMBERS = 4, 5, 6
 _NONE = 0x7FFFFFFF
-# Threads that number the loops, a block, of up to so many edges and of more; and numbers that each loads at once.
-BLOCK, FEW_LOOPED, LARGE_BLOCK, AT_ONCE = 128, 2048, 512, 4
+# Threads that number the loops, a block, of up to so many edges and of more; and numbers that each loads at once, and
+# that each lane does which compares an edge with others.
+BLOCK, FEW_LOOPED, LARGE_BLOCK, AT_ONCE, COMPARED = 128, 512, 512, 4, 8
 Numbers = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
+Keys = wp.types.vector(length=COMPARED, dtype=wp.int64)
+Others = wp.types.vector(length=COMPARED, dtype=wp.int32)
 
 
 @wp.func
@@ -75,11 +78,16 @@ def _add_up(
     balance = int(0)
     other = lane
     while other < rows:
-        if key_of(same, other) == key:
-            first = wp.min(first, other)
-            up = same[2 * other + 1] - same[2 * other]
-            balance = balance + wp.sign(up) * unmatched[other, 2]
-        other = other + lanes
+        keys = Keys()
+        for k in range(COMPARED):
+            keys[k] = key_of(same, wp.min(other + k * lanes, rows - 1))
+        for k in range(COMPARED):
+            at = other + k * lanes
+            if at < rows and keys[k] == key:
+                first = wp.min(first, at)
+                up = same[2 * at + 1] - same[2 * at]
+                balance = balance + wp.sign(up) * unmatched[at, 2]
+        other = other + COMPARED * lanes
     # Small numbers, which floats hold exactly.
     balance = int(sum_of_lanes(float(balance)))
     first = least_whole_of_lanes(first)
@@ -119,9 +127,16 @@ def _write_edges(
     before = int(0)
     other = lane
     while other < rows:
-        if balances[other] != 0 and key_of(same, other) < key:
-            before = before + wp.abs(balances[other])
-        other = other + lanes
+        keys = Keys()
+        numbers = Others()
+        for k in range(COMPARED):
+            at = wp.min(other + k * lanes, rows - 1)
+            keys[k] = key_of(same, at)
+            numbers[k] = wp.abs(balances[at])
+        for k in range(COMPARED):
+            if other + k * lanes < rows and keys[k] < key:
+                before = before + numbers[k]
+        other = other + COMPARED * lanes
     at = int(sum_of_lanes(float(before)))
     if lane == 0:
         low = int(key >> wp.int64(32))
@@ -168,16 +183,25 @@ def _follow(
     meeting = int(0)
     other = lane
     while other < count:
-        its = edges[other, 0]
-        if its < end:
-            below = below + 1
-        elif its == end:
-            meeting = meeting + 1
-        if edges[other, 1] == end and other < edge:
-            earlier = earlier + 1
-        if its < start or (its == start and other < edge):
-            place = place + 1
-        other = other + lanes
+        starts = Others()
+        ends = Others()
+        for k in range(COMPARED):
+            at = wp.min(other + k * lanes, count - 1)
+            starts[k] = edges[at, 0]
+            ends[k] = edges[at, 1]
+        for k in range(COMPARED):
+            at = other + k * lanes
+            if at < count:
+                its = starts[k]
+                if its < end:
+                    below = below + 1
+                elif its == end:
+                    meeting = meeting + 1
+                if ends[k] == end and at < edge:
+                    earlier = earlier + 1
+                if its < start or (its == start and at < edge):
+                    place = place + 1
+        other = other + COMPARED * lanes
     earlier = int(sum_of_lanes(float(earlier)))
     place = int(sum_of_lanes(float(place)))
     below = int(sum_of_lanes(float(below)))
@@ -291,21 +315,31 @@ def _write_caps(
     count = edges_in(flags, edges.shape[0])
     if edge >= count:
         return
-    step = left[edge] & (-left[edge])
+    loop = around[edge]
+    place = left[edge]
+    step = place & (-place)
     before = int(_NONE)
     after = int(_NONE)
     other = lane
     while other < count:
-        if around[other] == around[edge]:
-            if left[other] == left[edge] - step:
-                before = edges[other, 0]
-            if left[other] == left[edge] + step:
-                after = edges[other, 0]
-        other = other + lanes
+        loops = Others()
+        places = Others()
+        for k in range(COMPARED):
+            at = wp.min(other + k * lanes, count - 1)
+            loops[k] = around[at]
+            places[k] = left[at]
+        for k in range(COMPARED):
+            # Who comes twice does no harm.
+            if loops[k] == loop:
+                if places[k] == place - step:
+                    before = edges[wp.min(other + k * lanes, count - 1), 0]
+                if places[k] == place + step:
+                    after = edges[wp.min(other + k * lanes, count - 1), 0]
+        other = other + COMPARED * lanes
     before = least_whole_of_lanes(before)
     after = least_whole_of_lanes(after)
     if lane == 0:
-        first = firsts[around[edge]]
+        first = firsts[loop]
         caps[edge, 0] = wp.where(before == _NONE, first, before)
         caps[edge, 1] = edges[edge, 0]
         caps[edge, 2] = wp.where(after == _NONE, first, after)

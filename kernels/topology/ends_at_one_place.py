@@ -10,6 +10,12 @@ from sdm.kernels.topology.edge_pairing import UNMATCHED
 
 wp.set_module_options({"enable_backward": False})
 
+# Numbers that each lane loads at a time, as each takes long to arrive.
+AT_ONCE = 8
+
+Ends = wp.types.vector(length=AT_ONCE, dtype=wp.int32)
+Places = wp.types.vector(length=AT_ONCE, dtype=wp.float32)
+
 
 @wp.func
 def rows_of(found: wp.array(dtype=wp.int32), room: int):
@@ -36,17 +42,30 @@ def first_of_ends(
     """The lowest vertex among those of all ends that are where one is."""
     count = vertices.shape[1]
     mine = end_of(unmatched, end, count)
+    here = vertices[0, mine]
     least = mine
     other = lane
     while other < ends:
-        theirs = end_of(unmatched, other, count)
-        if theirs < least:
-            equal = bool(True)
-            for mesh in range(vertices.shape[0]):
-                equal = equal and vertices[mesh, mine] == vertices[mesh, theirs]
-            if equal:
-                least = theirs
-        other = other + lanes
+        theirs = Ends()
+        x = Places()
+        y = Places()
+        z = Places()
+        for k in range(AT_ONCE):
+            # Who comes twice does no harm.
+            theirs[k] = end_of(unmatched, wp.min(other + k * lanes, ends - 1), count)
+        for k in range(AT_ONCE):
+            there = vertices[0, theirs[k]]
+            x[k] = there[0]
+            y[k] = there[1]
+            z[k] = there[2]
+        for k in range(AT_ONCE):
+            if theirs[k] < least and here == wp.vec3(x[k], y[k], z[k]):
+                equal = bool(True)
+                for mesh in range(1, vertices.shape[0]):
+                    equal = equal and vertices[mesh, mine] == vertices[mesh, theirs[k]]
+                if equal:
+                    least = theirs[k]
+        other = other + AT_ONCE * lanes
     return least_whole_of_lanes(least)
 
 
