@@ -22,7 +22,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.geometry.voxel_grid import Slab
-from sdm.kernels.launch import launch, threads
+from sdm.kernels.launch import launch, new_zeros, threads
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary
@@ -91,8 +91,8 @@ def open_caps(
     if device.is_cuda:
         lanes, workers, kind = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM), "cuda"
     seers, settlers = (gpu_workers(device, each) if device.is_cuda else workers for each in (SEERS, SETTLERS))
-    counts = empty(COUNTS, wp.int32)
-    counts.zero_()
+    # Without a memset, for which a GPU waits longer than for a kernel.
+    counts = new_zeros(empty, COUNTS)
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
 
     def lists() -> tuple[wp.array, wp.array]:
