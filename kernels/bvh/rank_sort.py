@@ -32,7 +32,8 @@ AT_ONCE, OF_BUCKET = 8, 4
 SHARING = 8
 
 Counts = wp.types.vector(length=AT_ONCE, dtype=wp.int32)
-Keys = wp.types.vector(length=OF_BUCKET, dtype=wp.int64)
+Keys = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
+KeysOfBucket = wp.types.vector(length=OF_BUCKET, dtype=wp.int64)
 
 
 @wp.kernel
@@ -156,7 +157,7 @@ def _rank_in_bucket(
         other = first + lane
         end = starts[bucket + 1]
         while other < end:
-            some = Keys()
+            some = KeysOfBucket()
             for k in range(OF_BUCKET):
                 some[k] = placed[wp.min(other + k * each, end - 1)]
             for k in range(OF_BUCKET):
