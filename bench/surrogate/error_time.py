@@ -34,6 +34,7 @@ from sdm.bench.common.meshes import Case
 from sdm.bench.peers.base import Peer
 from sdm.bench.peers.libigl import LibiglPseudonormal, LibiglWinding
 from sdm.bench.surrogate.error_time_figure import draw
+from sdm.core.device import choose_device
 from sdm.engine.many import signed_distance_maps
 from sdm.io.files.torch_file import save_torch
 from sdm.shapes import Cochlea
@@ -246,10 +247,10 @@ def quiet(model: torch.nn.Module) -> Method:
 def decomposition(maps: int, degree: int, file: Path | None) -> PODChebyshev:
     """Fitted to so many maps of the training's kind, which the file keeps."""
     if file is None or not file.is_file():
-        stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device="cpu")
+        stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device=choose_device())
         replay = Replay(stream, maps)
         replay.fill()
-        kept = {"theta": replay.theta, "maps": replay.maps}
+        kept = {"theta": replay.theta.cpu(), "maps": replay.maps.cpu()}
         if file is not None:
             save_torch(kept, file)
     else:

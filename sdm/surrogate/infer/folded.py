@@ -4,12 +4,14 @@ The maps are those of `SDMNNPlus.forward` up to rounding. What differs is what i
 
 - The modes lie in the order of the coarse map's voxels, and the mean map's share of every later sum, which no parameter
   changes, is there from the beginning: only the difference from the mean map goes through the network.
-- The trained interpolation is trilinear interpolation, three small matrix products, and what training added, a
-  convolution of small weights that bfloat16 holds. It shares its input, and one convolution, with the first of the
-  refinement.
+- The trained interpolation is trilinear interpolation, a product along z and sums of neighbours along y and x, and what
+  training added, a convolution of small weights that bfloat16 holds. It shares its input, and one convolution, with the
+  first of the refinement.
 - The gains of the modulation are multiplied into the weights, which are fewer than the feature maps' values.
-- Channels are side by side in memory, as oneDNN wants them, and the voxels of a block that lie along z are moved as one
-  number when blocks become a map.
+- Channels are side by side in memory, as oneDNN wants them, and blocks in the order x, z, y: there are 16 along y, as
+  many as an AMX tile has rows. Voxels of a block that lie along z are moved as one number when blocks become a map.
+- Layers of a single theta are products of a matrix and a vector, its features Python's own numbers: there torch takes
+  longer to call an operation than to do it.
 - In bfloat16, modes that are 8-bit numbers with a scale each, as in files of weights, stay so: a fourth of what has to
   be read for a map.
 """
@@ -17,7 +19,8 @@ The maps are those of `SDMNNPlus.forward` up to rounding. What differs is what i
 from __future__ import annotations
 
 import copy
-from typing import cast
+from array import array
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -52,20 +55,22 @@ class FoldedNetwork:
         model = copy.deepcopy(model)
         self.dtype, self.blocks, self.channels = dtype, model.blocks, int(model.config["channels"])
         self.count = self.blocks[0] * self.blocks[1] * self.blocks[2]
-        self._state = nn.Sequential(model.features, model.trunk).eval()
-        self._gains = model.film
-        self._coefficients, self._scale = model.coefficients, model.scale
+        self._features = model.features
+        self._begun = _layer(cast("nn.Linear", model.trunk[0]))
+        self._residuals = [tuple(map(_layer, part.layers[::2])) for part in cast("Any", model.trunk[2:])]
         self._modes = _Modes(_merged(model.modes, model), dtype)
+        # Coefficients, scaled for the modes, and gains by one product.
+        self._ends = _joined(model.coefficients, self._modes.factors(model.scale), model.film)
         mean = _padded(model.mean.reshape(1, COARSE**3, *self.blocks))
         # (80,64 x 40): what the mean map and the biases give, whatever theta is.
         last = model.last.bias.reshape(1, -1, 1, 1, 1)  # pyright: ignore[reportOptionalMemberAccess]
         self._constant = merge(model.interpolate(mean) + last, FINE).reshape(FINE * self.blocks[0], -1).clone()
         self._place = _rows(model.first(mean) + model.place).to(dtype)
-        self._lines = [interpolation_matrix(count) for count in self.blocks]
+        self._by_z = interpolation_matrix(self.blocks[2]).t().contiguous()
+        self._bordered = _bordered(self.blocks)
         self._first = _beside(model.first.weight)
-        added = model.interpolate.weight - trilinear()
-        self._around = _beside(torch.cat([model.first.weight, added]).to(dtype))
-        self._no_bias = torch.zeros(len(self._around), dtype=dtype)
+        self._added = _beside((model.interpolate.weight - trilinear()).to(dtype))
+        self._no_bias = torch.zeros(len(self._added))
         middle = cast("list[nn.Conv3d]", list(model.middle))
         self._middle = [(_beside(layer.weight), cast("Tensor", layer.bias)) for layer in middle]
         self._last = model.last.weight.reshape(FINE**3, self.channels).t().to(dtype).contiguous()
@@ -80,48 +85,55 @@ class FoldedNetwork:
 
     def _maps(self, theta: Tensor) -> Tensor:
         maps = torch.empty(len(theta), 1, *(FINE * count for count in self.blocks))
-        state = self._state(theta)
-        coefficients = self._coefficients(state) * self._scale
-        gains = self._gains(state).reshape(len(theta), len(self._middle) + 1, 2, self.channels)
-        for number, target in enumerate(maps):
-            coarse = self._modes(coefficients[number : number + 1])
-            self._map(coarse, gains[number], target.view(FINE * self.blocks[0], -1))
+        gained = (len(self._middle) + 1) * 2 * self.channels
+        for row, target in zip(theta.tolist(), maps, strict=True):
+            found = torch.addmv(*self._ends, self._state(row))
+            gains = found[-gained:].view(-1, 2, self.channels)
+            self._map(self._modes(found[None, :-gained]), gains, target.view(FINE * self.blocks[0], -1))
         return maps
+
+    def _state(self, theta: list[float]) -> Tensor:
+        """What the trunk has for one theta."""
+        features = torch.frombuffer(array("f", self._features.of_one(theta)), dtype=torch.float32)
+        x = nn.functional.silu(torch.addmv(*self._begun, features))
+        for one, two in self._residuals:
+            x = x + torch.addmv(*two, nn.functional.silu(torch.addmv(*one, x)))
+        return x
 
     def _map(self, coarse: Tensor, gains: Tensor, target: Tensor) -> None:
         """One map (80,64 x 40) of the coarse map's difference from the mean map (1,25600), and of gains (D,2,C)."""
         nx, ny, nz = self.blocks
-        pairs = coarse.to(self.dtype).view(PAIRS[self.dtype]).view(nx, COARSE, ny, COARSE, nz)
-        blocks = pairs.permute(0, 2, 4, 1, 3).contiguous().view(self.dtype)
-        around = _padded(blocks.view(1, nx, ny, nz, -1).permute(0, 4, 1, 2, 3))
-        x, added = self._begin(around, gains[0])
-        for (weight, bias), (gain, shift) in zip(self._middle, gains[1:], strict=True):
-            by = 1 + gain
-            grid = x.view(1, nx, ny, nz, -1).permute(0, 4, 1, 2, 3)
-            found = _convolved(grid, _scaled(weight, by).to(self.dtype), torch.addcmul(shift, bias, by), 1)
-            x = nn.functional.leaky_relu_(found, LEAK).add_(x)
-        corrections = torch.addmm(added, x, self._last)
-        fours = corrections.view(FOURS[self.dtype]).view(nx, ny, nz, FINE, FINE)
-        by_x, by_y, by_z = self._lines
-        lines = torch.matmul(by_y, (coarse.view(-1, COARSE * nz) @ by_z.t()).view(COARSE * nx, COARSE * ny, -1))
-        torch.addmm(self._constant, by_x, lines.view(COARSE * nx, -1), out=target)
-        target += fours.permute(0, 3, 1, 4, 2).contiguous().view(self.dtype).view_as(target)
+        pairs = coarse.to(self.dtype).view(-1).view(PAIRS[self.dtype]).index_select(0, self._bordered)
+        corrections = self._corrections(pairs.view(self.dtype).view(1, nx + 2, nz + 2, ny + 2, -1), gains)
+        lines = (coarse.view(-1, COARSE * nz) @ self._by_z).view(COARSE * nx, COARSE * ny, -1)
+        planes = _finer(lines, torch.empty(COARSE * nx, FINE * ny, FINE * nz), 1)
+        _finer(planes.view(COARSE * nx, -1), target, 0).add_(self._constant)
+        fours = corrections.view(FOURS[self.dtype]).view(nx, nz, ny, FINE, FINE)
+        target += fours.permute(0, 3, 2, 4, 1).contiguous().view(self.dtype).view_as(target)
 
-    def _begin(self, around: Tensor, gains: Tensor) -> tuple[Tensor, Tensor]:
-        """The first feature maps (3200,C), and what training added to the interpolation (3200,64)."""
-        by, count = 1 + gains[0], self.channels
-        weight, bias = self._around.clone(memory_format=torch.preserve_format), self._no_bias.clone()
-        weight[:count], bias[:count] = _scaled(self._first, by), gains[1]
-        found = _convolved(around, weight, bias, 0)
-        x = torch.addcmul(found[:, :count], self._place, by.to(self.dtype))
-        return nn.functional.leaky_relu_(x, LEAK), found[:, count:]
+    def _corrections(self, around: Tensor, gains: Tensor) -> Tensor:
+        """(3200,64) of the coarse map (1,22,12,18,8) in blocks, with a block more at each side."""
+        nx, ny, nz = self.blocks
+        (gain, shift), *others = gains
+        by = 1 + gain
+        weight = torch.cat([_scaled(self._first, by).to(self.dtype), self._added])
+        found = _convolved(around, weight, torch.cat([shift, self._no_bias]), 0)
+        x = torch.addcmul(found[:, : self.channels], self._place, by.to(self.dtype))
+        x = nn.functional.leaky_relu_(x, LEAK)
+        for (weight, bias), (gain, shift) in zip(self._middle, others, strict=True):
+            by = 1 + gain
+            grid, scaled = x.view(1, nx, nz, ny, -1), _scaled(weight, by).to(self.dtype)
+            new = _convolved(grid, scaled, torch.addcmul(shift, bias, by), 1)
+            x = nn.functional.leaky_relu_(new, LEAK).add_(x)
+        return torch.addmm(found[:, self.channels :], x, self._last)
 
 
 class _Modes:
-    """Coarse maps (1,25600) of coefficients (1,modes), less the mean map."""
+    """Coarse maps (1,25600), less the mean map, of coefficients (1,modes) times `factors`."""
 
     def __init__(self, modes: Tensor, dtype: torch.dtype) -> None:
         self._large, self._small = modes.contiguous(), None
+        self._factors = torch.ones(len(modes))
         rest = modes[FINE_ROWS:]
         self._product = getattr(torch, "_weight_int8pack_mm", None)
         if dtype != torch.bfloat16 or not len(rest) or self._product is None:
@@ -133,21 +145,24 @@ class _Modes:
             return
         rows = -(-len(rest) // ROWS) * ROWS
         packed = nn.functional.pad(whole.t(), (0, rows - len(rest))).contiguous()
-        self._scale = nn.functional.pad(scale, (0, rows - len(rest)))
         self._small = packed, torch.ones(len(packed), dtype=dtype)
         # It is no documented part of torch, so that it has to show that it works.
-        sample = torch.cos(torch.arange(len(modes), dtype=torch.float32))[None]
+        sample = torch.cos(torch.arange(len(modes), dtype=torch.float32))
         exact = sample @ modes
         self._large = modes[:FINE_ROWS].contiguous()
-        if not (self(sample) - exact).abs().max() <= LARGEST_ERROR * exact.abs().max():
-            self._large, self._small = modes.contiguous(), None
+        self._factors = torch.cat([torch.ones(FINE_ROWS), scale, torch.zeros(rows - len(rest))])
+        found = self((nn.functional.pad(sample, (0, rows - len(rest))) * self._factors)[None])
+        if not (found - exact).abs().max() <= LARGEST_ERROR * exact.abs().max():
+            self._large, self._small, self._factors = modes.contiguous(), None, torch.ones(len(modes))
+
+    def factors(self, scale: Tensor) -> Tensor:
+        """Of coefficients in units of `scale`; zeros at the end fill them up."""
+        return nn.functional.pad(scale, (0, len(self._factors) - len(scale))) * self._factors
 
     def __call__(self, coefficients: Tensor) -> Tensor:
         if self._small is None or self._product is None:
             return coefficients @ self._large
-        rest = coefficients[:, FINE_ROWS:]
-        filled = nn.functional.pad(rest, (0, len(self._scale) - rest.shape[1])) * self._scale
-        small = self._product(filled.bfloat16(), *self._small)
+        small = self._product(coefficients[:, FINE_ROWS:].bfloat16(), *self._small)
         return (coefficients[:, :FINE_ROWS] @ self._large).add_(small)
 
 
@@ -156,14 +171,48 @@ def _merged(modes: Tensor, model: SDMNNPlus) -> Tensor:
     return merge(modes.detach().reshape(-1, COARSE**3, *model.blocks), COARSE).flatten(1)
 
 
+def _layer(layer: nn.Linear) -> tuple[Tensor, Tensor]:
+    """Bias and weights of a linear layer of one vector, as `addmv` takes them, in the order that it reads fastest."""
+    return layer.bias.detach(), layer.weight.detach().t().contiguous().t()
+
+
+def _joined(coefficients: nn.Linear, factors: Tensor, film: nn.Linear) -> tuple[Tensor, Tensor]:
+    """One such layer with the outputs of the first, filled up with zeros, times `factors`, and those of the last."""
+    more = len(factors) - coefficients.out_features
+    bias = nn.functional.pad(coefficients.bias, (0, more)) * factors
+    weight = nn.functional.pad(coefficients.weight.t(), (0, more)) * factors
+    return torch.cat([bias, film.bias]), torch.cat([weight, film.weight.t()], 1).t()
+
+
+def _bordered(blocks: tuple[int, ...]) -> Tensor:
+    """(22*12*18*4,): places in a coarse map, of pairs along z, that are the blocks with a block more at each side."""
+    nx, ny, nz = blocks
+    number = torch.arange(COARSE**2 * nx * ny * nz, dtype=torch.float32).view(nx, COARSE, ny, COARSE, nz)
+    channels = number.permute(1, 3, 0, 2, 4).reshape(1, COARSE**2, nx, ny, nz)
+    return _padded(channels)[0].permute(1, 3, 2, 0).reshape(-1).long()
+
+
+def _finer(lines: Tensor, target: Tensor, axis: int) -> Tensor:
+    """Twice as many along an axis, into the target, by what `interpolation_matrix` has: 3/4 and 1/4 of neighbours."""
+    count = lines.shape[axis]
+    low, high = lines.narrow(axis, 0, count - 1), lines.narrow(axis, 1, count - 1)
+    # Even and odd ones.
+    even, odd = target.unflatten(axis, (count, 2)).unbind(axis + 1)
+    torch.lerp(high, low, 0.25, out=even.narrow(axis, 1, count - 1))
+    torch.lerp(low, high, 0.25, out=odd.narrow(axis, 0, count - 1))
+    torch.lerp(lines.select(axis, 0), lines.select(axis, 1), 0.25, out=even.select(axis, 0))
+    torch.lerp(lines.select(axis, -1), lines.select(axis, -2), 0.25, out=odd.select(axis, -1))
+    return target
+
+
 def _padded(maps: Tensor) -> Tensor:
     """With a block more at each side, as the border's."""
     return nn.functional.pad(maps, (1,) * 6, mode="replicate")
 
 
 def _beside(weight: Tensor) -> Tensor:
-    """The weights of a convolution with channels side by side."""
-    return weight.detach().clone().contiguous(memory_format=torch.channels_last_3d)
+    """The weights of a convolution for maps (1,C,x,z,y), with channels side by side."""
+    return weight.detach().transpose(3, 4).clone(memory_format=torch.channels_last_3d)
 
 
 def _scaled(weight: Tensor, gains: Tensor) -> Tensor:
@@ -171,13 +220,13 @@ def _scaled(weight: Tensor, gains: Tensor) -> Tensor:
 
 
 def _rows(maps: Tensor) -> Tensor:
-    """Maps (1,C,x,y,z) as (x y z, C)."""
-    return maps[0].flatten(1).t().contiguous()
+    """Maps (1,C,x,y,z) as (x z y, C)."""
+    return maps[0].transpose(2, 3).flatten(1).t().contiguous()
 
 
 def _convolved(maps: Tensor, weight: Tensor, bias: Tensor, padding: int) -> Tensor:
-    """The convolution of maps (1,C,x,y,z) with channels side by side, as (x y z, C)."""
-    bias = bias.to(weight.dtype)
+    """The convolution of maps (1,x,z,y,C), as (x z y, C)."""
+    maps, bias = maps.permute(0, 4, 1, 2, 3), bias.to(weight.dtype)
     if weight.dtype == torch.float32 and torch.backends.mkldnn.is_available():
         # On one thread torch takes a way of its own for float32, of three times the time.
         found = torch.mkldnn_convolution(maps, weight, bias, [padding] * 3, [1] * 3, [1] * 3, 1)

@@ -34,7 +34,22 @@ class ThetaFeatures(nn.Module):
         # Not part of the state: they follow from the family.
         self.register_buffer("middle", box.mean(1).float(), persistent=False)
         self.register_buffer("reach", ((box[:, 1] - box[:, 0]) / 2).float(), persistent=False)
+        self._middle, self._reach = self.middle.tolist(), self.reach.tolist()
         self.register_buffer("angles", torch.tensor(ANGLES, dtype=torch.float32), persistent=False)
+
+    def of_one(self, theta: list[float]) -> list[float]:
+        """The features (52,) of one theta (4,) by Python's own numbers: a fourth of the time of small operations."""
+        one = [1.0] * len(theta)
+        unit = [(x - m) / r for x, m, r in zip(theta, self._middle, self._reach, strict=True)]
+        terms = [one, unit]
+        for _ in range(DEGREE - 1):
+            terms.append([2 * x * b - a for x, a, b in zip(unit, terms[-2], terms[-1], strict=True)])
+        a, alpha, b, phi = theta
+        radius = [a * math.exp(-b * angle) for angle in ANGLES]
+        fade = [r / math.sqrt(r * r + FADING_MM**2) for r in radius]
+        wave = [alpha * f * math.cos(angle - phi) for f, angle in zip(fade, ANGLES, strict=True)]
+        polynomials = [x for row in terms[1:] for x in row]
+        return [*polynomials, *(r / 2 - 1 for r in radius), *(2 * f - 1 for f in fade), *wave]
 
     def unit(self, theta: Tensor) -> Tensor:
         """Parameters (B,4) scaled to [-1, 1]."""
