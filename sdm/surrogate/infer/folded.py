@@ -4,9 +4,8 @@ The maps are those of `SDMNNPlus.forward` up to rounding. What differs is what i
 
 - The modes lie in the order of the coarse map's voxels, and the mean map's share of every later sum, which no parameter
   changes, is there from the beginning: only the difference from the mean map goes through the network.
-- The trained interpolation is trilinear interpolation, a product along z and sums of neighbours along y and x, and what
-  training added, a convolution of small weights that bfloat16 holds. It shares its input, and one convolution, with the
-  first of the refinement.
+- The interpolation is trilinear, a product along z and sums of neighbours along y and x. What training added to it, if
+  it is trained, is a convolution of small weights that bfloat16 holds, one with the first of the refinement.
 - The gains of the modulation are multiplied into the weights, which are fewer than the feature maps' values.
 - Channels are side by side in memory, as oneDNN wants them, and blocks in the order x, z, y: there are 16 along y, as
   many as an AMX tile has rows. Voxels of a block that lie along z are moved as one number when blocks become a map.
@@ -62,18 +61,28 @@ class FoldedNetwork:
         # Coefficients, scaled for the modes, and gains by one product.
         self._ends = _joined(model.coefficients, self._modes.factors(model.scale), model.film)
         mean = _padded(model.mean.reshape(1, COARSE**3, *self.blocks))
-        # (80,64 x 40): what the mean map and the biases give, whatever theta is.
-        last = model.last.bias.reshape(1, -1, 1, 1, 1)  # pyright: ignore[reportOptionalMemberAccess]
-        self._constant = merge(model.interpolate(mean) + last, FINE).reshape(FINE * self.blocks[0], -1).clone()
+        # What the mean map and the biases give, whatever theta is: (1,25600) before the interpolation, where it is all
+        # of it, or (80,64 x 40) after it.
+        self._mean = self._constant = None
+        if model.last.bias is None:
+            self._mean = _merged(model.mean[None], model)
+        else:
+            constant = model.interpolated_blocks(mean) + model.last.bias.view(1, -1, 1, 1, 1)
+            self._constant = merge(constant, FINE).reshape(FINE * self.blocks[0], -1).clone()
         self._place = _rows(model.first(mean) + model.place).to(dtype)
         self._by_z = interpolation_matrix(self.blocks[2]).t().contiguous()
         self._bordered = _bordered(self.blocks)
         self._first = _beside(model.first.weight)
-        self._added = _beside((model.interpolate.weight - trilinear()).to(dtype))
-        self._no_bias = torch.zeros(len(self._added))
+        self._added = None
+        if model.interpolate is not None:
+            self._added = _beside((model.interpolate.weight - trilinear()).to(dtype))
         middle = cast("list[nn.Conv3d]", list(model.middle))
         self._middle = [(_beside(layer.weight), cast("Tensor", layer.bias)) for layer in middle]
-        self._last = model.last.weight.reshape(FINE**3, self.channels).t().to(dtype).contiguous()
+        self._pointwise = None if model.pointwise is None else _columns(model.pointwise, dtype)
+        # By the layer whose outputs they take.
+        last = _columns(model.last, dtype)
+        ends = range(self.channels, len(last), self.channels)[: len(middle) + 1]
+        self._last = last.tensor_split(tuple(ends))
 
     @torch.inference_mode()
     def __call__(self, theta: Tensor) -> Tensor:
@@ -105,9 +114,13 @@ class FoldedNetwork:
         nx, ny, nz = self.blocks
         pairs = coarse.to(self.dtype).view(-1).view(PAIRS[self.dtype]).index_select(0, self._bordered)
         corrections = self._corrections(pairs.view(self.dtype).view(1, nx + 2, nz + 2, ny + 2, -1), gains)
+        if self._mean is not None:
+            coarse += self._mean
         lines = (coarse.view(-1, COARSE * nz) @ self._by_z).view(COARSE * nx, COARSE * ny, -1)
         planes = _finer(lines, torch.empty(COARSE * nx, FINE * ny, FINE * nz), 1)
-        _finer(planes.view(COARSE * nx, -1), target, 0).add_(self._constant)
+        _finer(planes.view(COARSE * nx, -1), target, 0)
+        if self._constant is not None:
+            target += self._constant
         fours = corrections.view(FOURS[self.dtype]).view(nx, nz, ny, FINE, FINE)
         target += fours.permute(0, 3, 2, 4, 1).contiguous().view(self.dtype).view_as(target)
 
@@ -116,16 +129,28 @@ class FoldedNetwork:
         nx, ny, nz = self.blocks
         (gain, shift), *others = gains
         by = 1 + gain
-        weight = torch.cat([_scaled(self._first, by).to(self.dtype), self._added])
-        found = _convolved(around, weight, torch.cat([shift, self._no_bias]), 0)
+        weight = _scaled(self._first, by).to(self.dtype)
+        if self._added is not None:
+            weight = torch.cat([weight, self._added])
+            shift = nn.functional.pad(shift, (0, len(self._added)))
+        found = _convolved(around, weight, shift, 0)
         x = torch.addcmul(found[:, : self.channels], self._place, by.to(self.dtype))
         x = nn.functional.leaky_relu_(x, LEAK)
+        kept = [x]
         for (weight, bias), (gain, shift) in zip(self._middle, others, strict=True):
             by = 1 + gain
             grid, scaled = x.view(1, nx, nz, ny, -1), _scaled(weight, by).to(self.dtype)
-            new = _convolved(grid, scaled, torch.addcmul(shift, bias, by), 1)
-            x = nn.functional.leaky_relu_(new, LEAK).add_(x)
-        return torch.addmm(found[:, self.channels :], x, self._last)
+            new = nn.functional.leaky_relu_(_convolved(grid, scaled, torch.addcmul(shift, bias, by), 1), LEAK)
+            x = new.add_(x) if self._pointwise is None else new
+            kept.append(x)
+        if self._pointwise is None:
+            added = found[:, self.channels :]
+            return torch.addmm(added, x, self._last[0])
+        kept.append(nn.functional.leaky_relu_(x @ self._pointwise, LEAK))
+        corrections = kept[0] @ self._last[0]
+        for part, weight in zip(kept[1:], self._last[1:], strict=True):
+            corrections.addmm_(part, weight)
+        return corrections
 
 
 class _Modes:
@@ -213,6 +238,11 @@ def _padded(maps: Tensor) -> Tensor:
 def _beside(weight: Tensor) -> Tensor:
     """The weights of a convolution for maps (1,C,x,z,y), with channels side by side."""
     return weight.detach().transpose(3, 4).clone(memory_format=torch.channels_last_3d)
+
+
+def _columns(layer: nn.Conv3d, dtype: torch.dtype) -> Tensor:
+    """The weights (O,C,1,1,1) of a convolution of single blocks as (C,O)."""
+    return layer.weight.detach().flatten(1).t().to(dtype).contiguous()
 
 
 def _scaled(weight: Tensor, gains: Tensor) -> Tensor:

@@ -26,6 +26,9 @@ class SDMNNPlus(nn.Module):
         hidden: Width of the network that gives their coefficients.
         channels: Feature maps of the refinement.
         depth: Convolutions of the refinement, besides the first and the last.
+        pointwise: Features of single blocks, made of what the last of these gives. The last layer then takes the
+            outputs of all others side by side and has no bias, and the interpolation stays as it begins. 0: the first
+            kind of this network, whose refinement adds up what its convolutions give.
 
     1. Features of theta (`ThetaFeatures`) and a small network give coefficients of `modes` modes.
     2. The modes, one matrix product, give the map at 0.4 mm. They begin as the maps' proper orthogonal decomposition.
@@ -42,9 +45,13 @@ class SDMNNPlus(nn.Module):
     by_y: Tensor
     by_z: Tensor
 
-    def __init__(self, modes: int = 208, hidden: int = 256, channels: int = 48, depth: int = 1) -> None:
+    def __init__(
+        self, modes: int = 208, hidden: int = 256, channels: int = 48, depth: int = 1, pointwise: int = 0
+    ) -> None:
         super().__init__()
         self.config = {"modes": modes, "hidden": hidden, "channels": channels, "depth": depth}
+        if pointwise:
+            self.config["pointwise"] = pointwise
         self.blocks = tuple(n // FINE for n in GRID.shape)
         count = self.blocks[0] * self.blocks[1] * self.blocks[2]
         self.features = ThetaFeatures()
@@ -59,17 +66,20 @@ class SDMNNPlus(nn.Module):
         self.mean = nn.Parameter(torch.zeros(COARSE**3 * count))
         self.film = nn.Linear(hidden, 2 * channels * (depth + 1))
         self.place = nn.Parameter(torch.zeros(1, channels, *self.blocks))
-        self.interpolate = nn.Conv3d(COARSE**3, FINE**3, 3)
+        self.interpolate = None if pointwise else nn.Conv3d(COARSE**3, FINE**3, 3)
         self.first = nn.Conv3d(COARSE**3, channels, 3)
         self.middle = nn.ModuleList([nn.Conv3d(channels, channels, 3, padding=1) for _ in range(depth)])
-        self.last = nn.Conv3d(channels, FINE**3, 1)
-        nn.init.zeros_(self.last.weight)
-        nn.init.zeros_(self.last.bias)  # pyright: ignore[reportArgumentType]
-        nn.init.zeros_(self.film.weight)
-        nn.init.zeros_(self.film.bias)
-        nn.init.zeros_(self.interpolate.bias)  # pyright: ignore[reportArgumentType]
-        with torch.no_grad():
-            self.interpolate.weight.copy_(trilinear())
+        self.pointwise = nn.Conv3d(channels, pointwise, 1, bias=False) if pointwise else None
+        self.last = nn.Conv3d(
+            channels * (depth + 1) + pointwise if pointwise else channels, FINE**3, 1, bias=not pointwise
+        )
+        for zero in (self.last.weight, self.last.bias, self.film.weight, self.film.bias):
+            if zero is not None:
+                nn.init.zeros_(zero)
+        if self.interpolate is not None:
+            nn.init.zeros_(cast("Tensor", self.interpolate.bias))
+            with torch.no_grad():
+                self.interpolate.weight.copy_(trilinear())
         # Not part of the state: trilinear interpolation, as weights of `interpolate` and along each axis.
         self.register_buffer("fixed", trilinear(), persistent=False)
         for axis, blocks in zip("xyz", self.blocks, strict=True):
@@ -82,12 +92,15 @@ class SDMNNPlus(nn.Module):
     def both(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """The coarse maps as `low_rank` gives them, and the maps of `forward` up to rounding, laid out for training.
 
-        The trilinear part of the interpolation is three products in float32. What training added to it is small enough
-        for bfloat16, and one convolution with `first`, whose input it shares.
+        The trilinear part of the interpolation is three products in float32. What training added to it, if it is
+        trained, is small enough for bfloat16, and one convolution with `first`, whose input it shares.
         """
         with full_precision(theta):
             state, coarse = self._begin(theta)
             plain, gains = self._trilinear(merge(coarse, COARSE)), self._gains(state)
+        if self.interpolate is None:
+            corrections = self._corrections(self.first(_padded(coarse)), gains)
+            return coarse, plain + merge(corrections, FINE).to(plain.dtype)
         weight = torch.cat([self.first.weight, self.interpolate.weight - self.fixed])
         bias = torch.cat([cast("Tensor", self.first.bias), cast("Tensor", self.interpolate.bias)])
         found = nn.functional.conv3d(_padded(coarse), weight, bias)
@@ -105,11 +118,15 @@ class SDMNNPlus(nn.Module):
         with full_precision(theta):
             state, coarse = self._begin(theta)
             around = _padded(coarse)
-            return around, self._gains(state), self.interpolate(around)
+            return around, self._gains(state), self.interpolated_blocks(around)
 
     def refined(self, around: Tensor, gains: Tensor, plain: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of what `interpolated` gave: small corrections, for which bfloat16 is enough."""
         return merge(plain + self._corrections(self.first(around), gains).to(plain.dtype), FINE)
+
+    def interpolated_blocks(self, around: Tensor) -> Tensor:
+        """Maps (B,64,20,16,10) [mm] in blocks of coarse ones (B,8,22,18,12) with their borders repeated."""
+        return nn.functional.conv3d(around, self.fixed) if self.interpolate is None else self.interpolate(around)
 
     def _gains(self, state: Tensor) -> Tensor:
         return self.film(state).reshape(state.shape[0], len(self.middle) + 1, 2, -1, 1)
@@ -117,9 +134,14 @@ class SDMNNPlus(nn.Module):
     def _corrections(self, begun: Tensor, gains: Tensor) -> Tensor:
         """In blocks, of the first convolution's output."""
         x = _modulated(begun + self.place, gains[:, 0])
+        kept = [x]
         for number, layer in enumerate(self.middle, 1):
-            x = x + _modulated(layer(x), gains[:, number])
-        return self.last(x)
+            new = _modulated(layer(x), gains[:, number])
+            x = x + new if self.pointwise is None else new
+            kept.append(x)
+        if self.pointwise is None:
+            return self.last(x)
+        return self.last(torch.cat([*kept, nn.functional.leaky_relu(self.pointwise(x), LEAK)], 1))
 
     def _trilinear(self, coarse: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) of coarse maps (B,1,40,32,20), interpolated."""

@@ -6,14 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import torch
 from torch import nn
 
+from sdm.core.random import derive_seed
 from sdm.errors import FormatError, SDMError
 from sdm.stream import Mixture, Sampler
 from sdm.surrogate.infer.weights_file import load_weights
 from sdm.surrogate.networks.models import build
+from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
 from sdm.surrogate.train.end_sampler import Ends
+from sdm.surrogate.train.pointwise_start import with_pointwise
 from sdm.training.budget import check_budget
+from sdm.training.random_numbers import own_random_numbers
 from sdm.training.training_settings import TrainingSettings, check_choice, check_number
 
 # Samples that a recipe streams; the paper's is the mixture of 625 static maps and random ones.
@@ -37,6 +42,7 @@ class Settings(TrainingSettings):
         model: "sdmnn" or "sdmnn-plus".
         modes: Modes of SDMNN+.
         channels: Feature maps of the network; by default its own.
+        pointwise: Features of single blocks at the end of SDMNN+; 0: its first kind.
         recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
             ones alone), "mostly-online" (of the samples a tenth from the 625 and the box's 16 corners, the others
             by the sampler "chebyshev") or "ends" (random ones alone, see `Ends`).
@@ -60,6 +66,7 @@ class Settings(TrainingSettings):
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
         sobolev_every: Steps between its uses, on 4 fresh shapes each.
         start: File of weights to go on from, in place of a beginning of its own; its sizes replace those given here.
+            But if `pointwise` is given and it has none, it gets them, and keeps `modes` modes (`with_pointwise`).
         ema: Decay of the running mean of the weights, which is what is kept.
         seed: Of the stream and all else that is random.
     """
@@ -69,6 +76,7 @@ class Settings(TrainingSettings):
     model: str = "sdmnn-plus"
     modes: int = 208
     channels: int | None = None
+    pointwise: int = 0
     recipe: str = "mostly-online"
     loss: str = "surface"
     steps: int = 100_000
@@ -100,7 +108,7 @@ class Settings(TrainingSettings):
         check_choice("loss", self.loss, ("mse", "surface"))
         for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
             check_number(name, getattr(self, name), least=1)
-        for name in ("fresh", "rate", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
+        for name in ("fresh", "pointwise", "rate", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
             check_number(name, getattr(self, name), least=0)
         for name in ("fill_share", "warm_share", "hard"):
             check_number(name, getattr(self, name), least=0, most=1)
@@ -118,9 +126,14 @@ def begin(settings: Settings) -> nn.Module:
     model, facts = load_weights(Path(settings.start))
     if facts["model"] != settings.model:
         raise FormatError(f"{settings.start} holds {facts['model']}, not {settings.model}; name the model it holds")
+    if settings.pointwise and isinstance(model, SDMNNPlus) and model.pointwise is None:
+        with own_random_numbers():
+            torch.manual_seed(derive_seed(settings.seed, "surrogate weights of single blocks"))
+            model = with_pointwise(model, settings.modes, settings.pointwise)
     return model.train().requires_grad_()
 
 
 def _config(settings: Settings) -> dict[str, Any]:
     channels = {} if settings.channels is None else {"channels": settings.channels}
-    return channels | ({"modes": settings.modes} if settings.model == "sdmnn-plus" else {})
+    own = {"modes": settings.modes, "pointwise": settings.pointwise} if settings.model == "sdmnn-plus" else {}
+    return channels | own

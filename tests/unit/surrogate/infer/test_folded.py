@@ -13,16 +13,18 @@ from sdm.surrogate.infer.folded import FoldedNetwork
 from sdm.surrogate.infer.weights_file import FINE_ROWS, WHOLE
 
 
-def network(modes: int, depth: int = 1) -> SDMNNPlus:
+def network(modes: int, depth: int = 1, pointwise: int = 0) -> SDMNNPlus:
     """With no weight at its beginning, and maps of the size of millimetres."""
     torch.manual_seed(0)
-    model = SDMNNPlus(modes=modes, hidden=8, channels=4, depth=depth).eval().requires_grad_(False)
+    model = SDMNNPlus(modes=modes, hidden=8, channels=4, depth=depth, pointwise=pointwise).eval().requires_grad_(False)
     model.mean.add_(3 * torch.randn_like(model.mean))
     for layer, size in ((model.interpolate, 0.002), (model.last, 0.02), (model.film, 0.2)):
-        layer.weight.add_(size * torch.randn_like(layer.weight))
-    for bias in (model.interpolate.bias, model.last.bias):
-        assert bias is not None
-        bias.add_(0.01 * torch.randn_like(bias))
+        if layer is not None:
+            layer.weight.add_(size * torch.randn_like(layer.weight))
+    if model.interpolate is not None:
+        for bias in (model.interpolate.bias, model.last.bias):
+            assert bias is not None
+            bias.add_(0.01 * torch.randn_like(bias))
     model.place.add_(0.1 * torch.randn_like(model.place))
     return model
 
@@ -35,9 +37,11 @@ def eight_bit(model: SDMNNPlus) -> SDMNNPlus:
     return model
 
 
-@pytest.mark.parametrize(("modes", "depth"), [(5, 1), (30, 2), (5, 0)])
-def test_float32_is_the_network_up_to_rounding(modes, depth):
-    model = network(modes, depth)
+@pytest.mark.parametrize(
+    ("modes", "depth", "pointwise"), [(5, 1, 0), (30, 2, 0), (5, 0, 0), (5, 1, 6), (5, 2, 3), (5, 0, 4)]
+)
+def test_float32_is_the_network_up_to_rounding(modes, depth, pointwise):
+    model = network(modes, depth, pointwise)
     run = FoldedNetwork(model, torch.float32)
     theta = Cochlea().sample(3, seed=1, device="cpu")
     for rows in (theta, theta[1:2]):
@@ -48,9 +52,10 @@ def test_float32_is_the_network_up_to_rounding(modes, depth):
     assert all(not torch.equal(a, b) for a, b in pairwise(run(theta)))
 
 
+@pytest.mark.parametrize("pointwise", [0, 6])
 @pytest.mark.parametrize("kind", ["whole", "float", "without"])
-def test_bfloat16_is_close_whatever_the_modes_are(kind, monkeypatch):
-    model = network(FINE_ROWS + 9)
+def test_bfloat16_is_close_whatever_the_modes_are(kind, pointwise, monkeypatch):
+    model = network(FINE_ROWS + 9, pointwise=pointwise)
     if kind != "float":
         model = eight_bit(model)
     if kind == "without":
