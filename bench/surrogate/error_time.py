@@ -247,7 +247,7 @@ def quiet(model: torch.nn.Module) -> Method:
 def decomposition(maps: int, degree: int, file: Path | None) -> PODChebyshev:
     """Fitted to so many maps of the training's kind, which the file keeps."""
     if file is None or not file.is_file():
-        stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device=choose_device())
+        stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device=choose_device(None))
         replay = Replay(stream, maps)
         replay.fill()
         kept = {"theta": replay.theta.cpu(), "maps": replay.maps.cpu()}
