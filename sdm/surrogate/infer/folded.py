@@ -4,7 +4,7 @@ The maps are those of `SDMNNPlus.forward` up to rounding. What differs is what i
 
 - The modes lie in the order of the coarse map's voxels, and the mean map's share of every later sum, which no parameter
   changes, is there from the beginning: only the difference from the mean map goes through the network.
-- The interpolation is trilinear, a product along z and sums of neighbours along y and x. What training added to it, if
+- The interpolation is trilinear, products along z and y and sums of neighbours along x. What training added to it, if
   it is trained, is a convolution of small weights that bfloat16 holds, one with the first of the refinement.
 - The gains of the modulation are multiplied into the weights, which are fewer than the feature maps' values.
 - Channels are side by side in memory, as oneDNN wants them, and blocks in the order x, z, y: there are 16 along y, as
@@ -70,6 +70,7 @@ class FoldedNetwork:
             constant = model.interpolated_blocks(mean) + model.last.bias.view(1, -1, 1, 1, 1)
             self._constant = merge(constant, FINE).reshape(FINE * self.blocks[0], -1).clone()
         self._place = _rows(model.first(mean) + model.place).to(dtype)
+        self._by_y = interpolation_matrix(self.blocks[1])
         self._by_z = interpolation_matrix(self.blocks[2]).t().contiguous()
         self._bordered = _bordered(self.blocks)
         self._first = _beside(model.first.weight)
@@ -116,13 +117,12 @@ class FoldedNetwork:
         corrections = self._corrections(pairs.view(self.dtype).view(1, nx + 2, nz + 2, ny + 2, -1), gains)
         if self._mean is not None:
             coarse += self._mean
-        lines = (coarse.view(-1, COARSE * nz) @ self._by_z).view(COARSE * nx, COARSE * ny, -1)
-        planes = _finer(lines, torch.empty(COARSE * nx, FINE * ny, FINE * nz), 1)
-        _finer(planes.view(COARSE * nx, -1), target, 0)
+        fours = corrections.view(FOURS[self.dtype]).view(nx, nz, ny, FINE, FINE)
+        target.copy_(fours.permute(0, 3, 2, 4, 1).contiguous().view(self.dtype).view_as(target))
         if self._constant is not None:
             target += self._constant
-        fours = corrections.view(FOURS[self.dtype]).view(nx, nz, ny, FINE, FINE)
-        target += fours.permute(0, 3, 2, 4, 1).contiguous().view(self.dtype).view_as(target)
+        lines = (coarse.view(-1, COARSE * nz) @ self._by_z).view(COARSE * nx, COARSE * ny, -1)
+        _add_finer(torch.matmul(self._by_y, lines).view(COARSE * nx, -1), target)
 
     def _corrections(self, around: Tensor, gains: Tensor) -> Tensor:
         """(3200,64) of the coarse map (1,22,12,18,8) in blocks, with a block more at each side."""
@@ -217,17 +217,15 @@ def _bordered(blocks: tuple[int, ...]) -> Tensor:
     return _padded(channels)[0].permute(1, 3, 2, 0).reshape(-1).long()
 
 
-def _finer(lines: Tensor, target: Tensor, axis: int) -> Tensor:
-    """Twice as many along an axis, into the target, by what `interpolation_matrix` has: 3/4 and 1/4 of neighbours."""
-    count = lines.shape[axis]
-    low, high = lines.narrow(axis, 0, count - 1), lines.narrow(axis, 1, count - 1)
-    # Even and odd ones.
-    even, odd = target.unflatten(axis, (count, 2)).unbind(axis + 1)
-    torch.lerp(high, low, 0.25, out=even.narrow(axis, 1, count - 1))
-    torch.lerp(low, high, 0.25, out=odd.narrow(axis, 0, count - 1))
-    torch.lerp(lines.select(axis, 0), lines.select(axis, 1), 0.25, out=even.select(axis, 0))
-    torch.lerp(lines.select(axis, -1), lines.select(axis, -2), 0.25, out=odd.select(axis, -1))
-    return target
+def _add_finer(planes: Tensor, target: Tensor) -> None:
+    """Add planes (40,P) to twice as many (80,P), by what `interpolation_matrix` has: 3/4 and 1/4 of neighbours."""
+    pairs = target.view(len(planes), 2, -1)
+    even, odd = pairs.unbind(1)
+    pairs.add_(planes[:, None], alpha=0.75)
+    even[1:].add_(planes[:-1], alpha=0.25)
+    odd[:-1].add_(planes[1:], alpha=0.25)
+    even[0].add_(planes[1], alpha=0.25)
+    odd[-1].add_(planes[-2], alpha=0.25)
 
 
 def _padded(maps: Tensor) -> Tensor:
