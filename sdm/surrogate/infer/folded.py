@@ -103,7 +103,7 @@ class FoldedNetwork:
         return maps
 
     def _state(self, theta: list[float]) -> Tensor:
-        """What the trunk has for one theta."""
+        """Output of the trunk for one theta."""
         features = torch.frombuffer(array("f", self._features.of_one(theta)), dtype=torch.float32)
         x = nn.functional.silu(torch.addmv(*self._begun, features))
         for one, two in self._residuals:

@@ -59,8 +59,8 @@ def sdmnn(
             a file seven times as large.
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
         channels: Feature maps of the network.
-        pointwise: Features of single blocks at the end of sdmnn-plus, 64 in the shipped weights: they take a tenth off
-            its errors at the surface for a twentieth of its time.
+        pointwise: Features of single blocks at the end of sdmnn-plus; it is then of a second kind, which needs fewer
+            modes for the same errors (152 with 64 of these).
         recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
             ones alone; of mostly-online's samples a tenth are from the 625 and from the 16 corners of the parameters'
             box, the others random, denser towards the ends of each parameter; ends is random ones alone, half of them
