@@ -354,6 +354,7 @@ def join_edges(
     flags: wp.array,
     empty: Callable[[int, Any], wp.array],
     in_room: bool = False,
+    written: Callable[[], None] | None = None,
 ) -> None:
     """Boundary edges and caps from what `sdm.kernels.topology.edge_pairing` found.
 
@@ -367,6 +368,7 @@ def join_edges(
             has no meaning, but no index is out of range.
         empty: Allocates workspace: `empty(length, dtype)`.
         in_room: N and E are not guesses, but room for any number: rows behind those that there are stay as they were.
+        written: Called once the kernels are queued that write `edges` and tell how many there are.
     """
     device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
@@ -376,6 +378,8 @@ def join_edges(
     join_ends(unmatched, vertices, same, found)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
+    if written is not None:
+        written()
     launch(_follow, count * lanes, [lanes, edges, ahead, ordered, firsts, int(in_room), flags], device)
     block = (BLOCK if count <= FEW_LOOPED else LARGE_BLOCK) if device.is_cuda else 1
     launch(_number_loops, block, [block, flags, ordered, ahead, onward, around, left], device, block_dim=block)

@@ -17,6 +17,7 @@ from sdm.kernels.primitives.lanes import (
     ballot,
     first_member,
     from_lane,
+    gpu_workers,
     int_from_lane,
     one_on_cpu,
     sum_of_lanes_in_double,
@@ -32,25 +33,39 @@ wp.set_module_options({"enable_backward": False})
 # Edges times voxels that are added up on a GPU in the time that boxes take; and threads that fill one.
 MOST_SUMS = {"cuda": 4.5e7, "cpu": 0.0}
 THREADS = 1 << 18
+# Thread blocks of a multiprocessor that are at it: more would keep out the stages that lists are made by, for which all
+# else waits.
+RIM_BLOCKS_PER_SM = 6
 
 
 @wp.kernel
-def _add_rims(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, values: wp.array(dtype=wp.float32)):
+def _add_rims(
+    begin: int,
+    threads: int,
+    most: int,
+    tree: Tree,
+    boundary: Boundary,
+    slab: Slab,
+    lanes: int,
+    values: wp.array(dtype=wp.float32),
+):
     """Add the boundary's share to the crossings of the surface, where that is sure; `lanes` share the edges."""
     thread = begin + wp.tid()
     lanes = one_on_cpu(lanes)
-    number = thread / lanes
-    found = wp.vec2()
-    if number < values.shape[0]:
-        mesh, at = voxel_at(slab, number)
-        found = rim_part(boundary, mesh, wp.vec3(place_of_voxel(tree, slab, mesh, at)), thread % lanes, lanes)
-    share = sum_of_some(found[0], lanes)
-    error = sum_of_some(found[1], lanes)
-    if thread % lanes == 0 and number < values.shape[0]:
-        crossings = values[number]
-        if is_sure(crossings + share, crossings, error):
-            # Whole ones tell what is left.
-            values[number] = opened(crossings + share)
+    while thread < most:
+        number = thread / lanes
+        found = wp.vec2()
+        if number < values.shape[0]:
+            mesh, at = voxel_at(slab, number)
+            found = rim_part(boundary, mesh, wp.vec3(place_of_voxel(tree, slab, mesh, at)), thread % lanes, lanes)
+        share = sum_of_some(found[0], lanes)
+        error = sum_of_some(found[1], lanes)
+        if thread % lanes == 0 and number < values.shape[0]:
+            crossings = values[number]
+            if is_sure(crossings + share, crossings, error):
+                # Whole ones tell what is left.
+                values[number] = opened(crossings + share)
+        thread = thread + threads
 
 
 @wp.kernel
@@ -84,5 +99,7 @@ def add_rims(tree: Tree, boundary: Boundary, slab: Slab, values: wp.array) -> No
         while lanes < group and 2 * lanes * total <= THREADS:
             lanes *= 2
     # Whole groups, so that all of their lanes are there to be asked.
-    launch(_add_rims, -(-total * lanes // group) * group, [tree, boundary, slab, lanes, values], device)
+    most = -(-total * lanes // group) * group
+    at_work = min(most, gpu_workers(device, RIM_BLOCKS_PER_SM) * group) if device.is_cuda else most
+    launch(_add_rims, at_work, [at_work, most, tree, boundary, slab, lanes, values], device)
     launch(_add_exactly, -(-total // group) * group, [tree, boundary, slab, group, values], device)

@@ -231,10 +231,11 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
     with beside(device) as join:
         found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
 
-    def begin_joining() -> Join:
+    def begin_joining() -> tuple[Join, Join]:
+        written: list[Join] = []
         with beside(device, TELLING, since=join) as joined:
-            boundary.queue_joining(unmatched, found, mesh.vertices)
-        return joined
+            boundary.queue_joining(unmatched, found, mesh.vertices, lambda: written.append(fork(device)))
+        return written[0], joined
 
     def count_ambiguous() -> None:
         tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
@@ -269,13 +270,14 @@ def _queue_map(
     join: Join,
     ambiguous: Tensor,
     boundary: OpenBoundary | None,
-    begin_joining: Callable[[], Join] = lambda: nothing,
+    begin_joining: Callable[[], tuple[Join, Join]] = lambda: (nothing, nothing),
     measured: Callable[[], None] = lambda: None,
 ) -> Join:
     """The map of a mesh, to the address in the table: its neighbours are there after `join`.
 
-    Gives what `begin_joining` gave, after which its boundary is there. What everything waits for is queued first.
-    `measured` queues what comes once voxels are measured, beside the rest.
+    Of what `begin_joining` gives, the first waits for its boundary edges, the second, which is given, for all of its
+    boundary. What everything waits for is queued first. `measured` queues what comes once voxels are measured, beside
+    the rest.
     """
     vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
@@ -314,10 +316,10 @@ def _queue_map(
             if boundary is None:
                 return nothing
             joins[0]()
-            return boundary.queue_winding(winding, view.tree, vertices, box, empty, few)
+            return boundary.queue_winding(winding, view.tree, vertices, box, empty, few, joins[1])
 
         def wind() -> None:
-            joins.append(begin_joining())
+            joins.extend(begin_joining())
             with kernels_beside(values, WINDING, begun, ordered[0]) as wound:
                 columns = kind.plan.most_columns
                 slab_winding(tree, winding, slab, target.values, empty, columns, before_boundary, is_zero=True)
@@ -339,7 +341,7 @@ def _queue_map(
         pending = Pending(cones=before_regions, features=before_blocks)
 
         def join_winding() -> None:
-            joins[1]()
+            joins[2]()
 
         def measure(*inputs: Any) -> None:
             measure_blocks(*inputs)
@@ -350,5 +352,5 @@ def _queue_map(
         beside_winding = partial(kernels_beside, values, WINDING)
         own = OwnStages(find_witnesses, measure, mend_slab)
         run_stages(surface, slab, out, kind.plan, empty, beside_winding, join_winding, own, pending, work)
-        joins[2]()
-    return joins[0]
+        joins[3]()
+    return joins[1]

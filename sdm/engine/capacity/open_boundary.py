@@ -7,6 +7,7 @@ triangles of one point, which fill the room. So an open mesh that turns out to b
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -86,8 +87,13 @@ class OpenBoundary(NamedTuple):
         """The edges, unmatched or of the boundary, that there is room for."""
         return self.edges.shape[0]
 
-    def queue_joining(self, unmatched: Tensor, found: Tensor, vertices: Tensor) -> None:
-        """Queue the kernels that fill numbers, edges and caps from the pairing of the faces of `vertices` (V,3)."""
+    def queue_joining(
+        self, unmatched: Tensor, found: Tensor, vertices: Tensor, written: Callable[[], None] | None = None
+    ) -> None:
+        """Queue the kernels that fill numbers, edges and caps from the pairing of the faces of `vertices` (V,3).
+
+        `written` is called once those are queued that write the edges.
+        """
         with on_current_stream(vertices, vertices):
             boundary_loops.join_edges(
                 as_warp(unmatched[: self.room], wp.int32),
@@ -98,6 +104,7 @@ class OpenBoundary(NamedTuple):
                 as_warp(self.numbers, wp.int32),
                 workspace(vertices.device),
                 in_room=True,
+                written=written,
             )
 
     def winding(self, view: Any) -> Any:
@@ -116,16 +123,17 @@ class OpenBoundary(NamedTuple):
         return winding
 
     def queue_winding(
-        self, winding: Any, tree: Any, vertices: Tensor, bounds: wp.array, empty: Any, edges_alone: bool
+        self, winding: Any, tree: Any, vertices: Tensor, bounds: wp.array, empty: Any, edges_alone: bool, joined: Join
     ) -> Join:
-        """Queue kernels that fill `winding`, whose `tree` is there: of `edges_alone` without caps.
+        """Queue kernels that fill `winding`, whose `tree` and edges are there: of `edges_alone` without caps.
 
-        What it gives is to be called before the caps' moments are read.
+        These are there after `joined`. What it gives is to be called before the caps' moments are read.
         """
         corners = as_warp(vertices[None], wp.vec3)
         gather_boundary(winding.boundary, tree, corners, as_warp(self.edges, wp.int32))
         if edges_alone:
             return nothing
+        joined()
         room = 2 * self.caps.shape[0]
         keys, slots = empty(room, wp.int64), empty(room, wp.int32)
         caps = as_warp(self.caps, wp.int32)
