@@ -21,7 +21,8 @@ class PlanOptions:
         shares: Groups of lanes that make the candidate list of each region, and of each cell: powers of two, the
             second at most the first.
         block_shares: Groups of lanes that make the list of features of each block: at most 32.
-        block_parts: Groups of lanes that measure each block: 1, 2, 4 or 8.
+        block_parts: Groups of lanes that measure each block: 1, or with 2, 4 or 8 all of a GPU's thread block; but so
+            many where closest points are wanted too.
         split_length: Leaves of a cell's candidate list that one group of lanes takes, at least 1.
         levels_left_out: Last levels of the tree that candidate lists do without, as far as it has them.
         pool_entries: Entries of the pool of candidate lists.

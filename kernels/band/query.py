@@ -208,6 +208,7 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | 
         # What a pass has of the pool is counted by groups of one a block.
         block_shares=1,
         block_parts=1,
+        together=False,
         chunks=chunks,
         blocks=8 * most,
     )

@@ -16,8 +16,9 @@ wp.set_module_options({"enable_backward": False})
 # A cell's number, which of its splits, how many there are less one, in one integer.
 CELL_BITS, SPLIT_BITS = 18, 6
 _MOST_SPLITS = 1 << SPLIT_BITS
-# Groups of lanes that are enough to make lists of features, or to measure blocks.
-BUSY = 1 << 11
+# Groups of lanes that are enough to make lists of features, or to measure blocks; and to make lists, once the number of
+# blocks is known.
+BUSY, LISTING = 1 << 11, 1 << 12
 
 
 @wp.func
@@ -51,10 +52,10 @@ BY_GROUPS = any_groups, one_group
 
 
 @wp.func
-def groups_at_work(most: int, blocks: int):
-    """Groups of lanes that share each of so many blocks: a power of two, at most `most`, and no more than are busy."""
+def groups_at_work(most: int, blocks: int, enough: int):
+    """Groups of lanes that share each of so many blocks: a power of two up to `most`, in all no more than `enough`."""
     groups = int(most)
-    while groups > 1 and groups * blocks > BUSY:
+    while groups > 1 and groups * blocks > enough:
         groups = groups / 2
     return groups
 
@@ -69,7 +70,8 @@ class BlockSchedule:
     split_cells: wp.array(dtype=wp.int32)  # (8 * regions) the cells whose lists are cut into splits
     lacking: wp.array(dtype=wp.int32)  # (8 * regions) of those, 1 where the pool ran out for one of the splits
     counters: wp.array(dtype=wp.int32)  # (COUNTS) of the pass, see `counters`
-    parts: wp.int32  # groups of lanes that measure each block, some of its octants each: 1, 2, 4 or 8
+    parts: wp.int32  # groups of lanes that measure each block, some of its octants each: 1, 2, 4 or 8; with winners
+    together: wp.int32  # without: 1 if all groups of a thread block measure each block
 
 
 @wp.func

@@ -164,6 +164,15 @@ def groups_of_block(blocks: int, length: float) -> int:
     return groups
 
 
+def is_measured_together(regions: int, cell: int) -> bool:
+    """True if the blocks of so many regions are so few that all groups of a GPU's thread block measure one at a time.
+
+    It decides about no bits.
+    """
+    blocks = 8 * regions * (8 if cell > int(BLOCK) else 1)
+    return 2 * blocks <= BUSY
+
+
 def shares_and_parts(triangles: int, shape: Sequence[int], regions: int, cell: int) -> tuple[int, int]:
     """Groups of lanes of a GPU that make the list of features of a block, and that measure one."""
     length = expected_list(triangles, shape, int(BLOCK))

@@ -18,6 +18,7 @@ from sdm.kernels.dense.cost_model import (
     NO_SPLITS,
     cell_for,
     expected_entries,
+    is_measured_together,
     levels_left_out,
     passes_for,
     pool_for,
@@ -66,7 +67,8 @@ class Plan:
         cell_shares: The same for a cell: as many, or a power of two less.
         levels_left_out: Last levels of the tree that candidate lists do without.
         block_shares: Groups of lanes that make the list of features of a block.
-        block_parts: Groups of lanes that measure a block, some of its octants each.
+        block_parts: Groups of lanes that measure a block where winners are wanted, some of its octants each.
+        together: Without winners all groups of a thread block measure each block, see `block.together`.
         split_length: Leaves of a cell's candidate list that one group of lanes takes.
         chunks: Chunks of the pool of candidate lists.
         blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
@@ -85,6 +87,7 @@ class Plan:
     levels_left_out: int
     block_shares: int
     block_parts: int
+    together: bool
     split_length: int
     chunks: int
     blocks: int
@@ -145,6 +148,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     by_option = ALL_COARSE if options.list_bricks else 0
     below = (FINE if gpu else 0) if options.list_bricks is None else by_option
     block_shares, block_parts = shares_and_parts(work.triangles, shape, total, cell) if gpu else (1, 1)
+    together = gpu and is_measured_together(total, cell)
     return Plan(
         method=method,
         cell=cell,
@@ -157,6 +161,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         levels_left_out=left_out,
         block_shares=options.block_shares or block_shares,
         block_parts=options.block_parts or block_parts,
+        together=together if options.block_parts is None else options.block_parts > 1,
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
@@ -193,8 +198,9 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
     entries = options.pool_entries or pool_for(expected / total, total, memory)
     passes = passes_for(expected / total, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
     most, chunks = -(-total // passes), entries // CHUNK
-    groups = [(1, 1)]
+    groups, together = [(1, 1)], False
     if memory is not None:
+        together = is_measured_together(total, plans[0].cell)
         groups = [shares_and_parts(work.triangles, work.shape, total, plans[0].cell) for work in works]
     block_shares, block_parts = min(groups)
     return replace(
@@ -208,6 +214,7 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         levels_left_out=max(plan.levels_left_out for plan in plans),
         block_shares=options.block_shares or block_shares,
         block_parts=options.block_parts or block_parts,
+        together=together if options.block_parts is None else options.block_parts > 1,
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,

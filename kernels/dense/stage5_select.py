@@ -37,6 +37,7 @@ from sdm.kernels.culling.witness_bound import (
 from sdm.kernels.dense.block.voxels import Block
 from sdm.kernels.dense.block_schedule import (
     BY_GROUPS,
+    LISTING,
     BlockSchedule,
     cell_of,
     groups_at_work,
@@ -268,7 +269,7 @@ def _select_features_kernel(of_groups: Any, module: str | None = None) -> Any:
         lane = thread % lanes
         bricks = 8 * schedule.counters[COARSE]
         total = bricks + whole_blocks(schedule)
-        groups = groups_at_work(of_groups(blocks.shares), total)
+        groups = groups_at_work(of_groups(blocks.shares), total, LISTING)
         stack = stack_of(stacks, thread / lanes)
         item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
         while item < total * groups:

@@ -111,7 +111,7 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     set_array(cache, "boxes", empty(8 * most * (9 if plan.cell > BLOCK else 1) * BOX_FLOATS, wp.float32))
     share_witnesses = empty(8 * most * plan.cell_shares * 4, wp.float32)
     schedule = BlockSchedule()
-    schedule.room, schedule.parts = room, plan.block_parts
+    schedule.room, schedule.parts, schedule.together = room, plan.block_parts, int(plan.together)
     set_array(schedule, "whole", empty(LENGTHS * room, wp.int32))
     set_array(schedule, "coarse", empty(room, wp.int32))
     set_array(schedule, "split_cells", empty(8 * most, wp.int32))

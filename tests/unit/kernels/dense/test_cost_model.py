@@ -14,6 +14,7 @@ from sdm.kernels.dense.cost_model import (
     SMALLEST_POOL,
     cell_for,
     expected_entries,
+    is_measured_together,
     levels_left_out,
     passes_for,
     pool_for,
@@ -65,6 +66,14 @@ def test_few_blocks_with_short_lists_have_several_groups_each():
     for regions in (1, 30, 64, 100, 500):
         groups, _ = shares_and_parts(1_000, small, regions, 8)
         assert groups == 1 or 8 * regions * groups <= BUSY
+
+
+def test_few_blocks_are_measured_by_all_groups_of_a_thread_block():
+    # 512 cells of 32^3 or 64^3 voxels, but not those of a batch; nor the bricks of 512 large ones.
+    assert is_measured_together(64, 4)
+    assert is_measured_together(64, 8)
+    assert not is_measured_together(16 * 64, 4)
+    assert not is_measured_together(64, 16)
 
 
 @pytest.mark.parametrize("n", [16, 64, 200, 512, 1024])
