@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.node_boxes import bound_nodes
-from sdm.kernels.bvh.rank_sort import RankSort, bucket_of, is_ranked
+from sdm.kernels.bvh.rank_sort import RankSort, bucket_of, counts_behind, is_ranked
 from sdm.kernels.bvh.tree import (
     DIAGONAL,
     FRAME_SIZE,
@@ -51,8 +51,12 @@ _LATTICE_SIZE = 24
 
 
 @wp.kernel
-def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32)):
-    bounds[begin + wp.tid()] = float(wp.inf)
+def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32), zeros: wp.array(dtype=wp.int32)):
+    thread = begin + wp.tid()
+    if thread < bounds.shape[0]:
+        bounds[thread] = float(wp.inf)
+    if thread < zeros.shape[0]:
+        zeros[thread] = 0
 
 
 @wp.kernel
@@ -226,9 +230,11 @@ def _gather_triangles(
     write4(normals, slots_of(one, mesh) + f, n[0], n[1], n[2], 0.0)
 
 
-def reset_bounds(bounds: wp.array) -> None:
-    """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`."""
-    launch(_reset_bounds, bounds.shape[0], [bounds], bounds.device)
+def reset_bounds(bounds: wp.array, zeros: wp.array | None = None) -> None:
+    """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`, and fill (n,) int32 with zeros."""
+    device: Any = bounds.device
+    zeros = array_at(0, (0,), wp.int32, device.alias) if zeros is None else zeros
+    launch(_reset_bounds, max(bounds.shape[0], zeros.shape[0]), [bounds, zeros], device)
 
 
 def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.array) -> None:
@@ -272,13 +278,26 @@ def build_tree(
         is_bounded: `bounds` are as `reduce_bounds` leaves them.
         counts: Zeros for `RankSort`, if there are any.
     """
-    meshes = vertices.shape[0]
+    meshes, total = vertices.shape[0], tree.face.shape[0]
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
     if not is_bounded:
-        launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
+        if counts is None and _is_ranked(tree, bounds.device, meshes, fillers):
+            # A launch of its own for so few zeros would be waited for as long as one that works.
+            counts = counts_behind(keys, total)
+        reset_bounds(bounds, counts)
         reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers, counts=counts)
+
+
+def _bits(tree: Tree, meshes: int, fillers: bool) -> tuple[int, int]:
+    """Bits of a place along an axis, and of a key: the meshes' numbers are above the curve's codes."""
+    bits = int(COARSE_BITS if tree.count <= FEW else FINE_BITS)
+    return bits, 3 * bits + (0 if fillers else (meshes - 1).bit_length())
+
+
+def _is_ranked(tree: Tree, device: Any, meshes: int, fillers: bool) -> bool:
+    return device.is_cuda and is_ranked(tree.face.shape[0], meshes, fillers, _bits(tree, meshes, fillers)[1])
 
 
 def build_in_frame(
@@ -297,12 +316,10 @@ def build_in_frame(
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
     meshes, total = vertices.shape[0], tree.face.shape[0]
-    bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
-    # The meshes' numbers are above the curve's codes.
-    all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
+    bits, all_bits = _bits(tree, meshes, fillers)
     inputs = [tree, vertices, faces, bounds, bits, int(not fillers)]
     order = slots
-    if device.is_cuda and is_ranked(total, meshes, fillers, all_bits):
+    if _is_ranked(tree, device, meshes, fillers):
         ranks = RankSort(keys, slots, all_bits, counts)
         inputs += [ranks.short, slots, ranks.counts]
         launch(_make_short_keys, total, inputs, device, smallest=CURVE_SHARE)

@@ -181,6 +181,15 @@ def is_ranked(total: int, meshes: int, fillers: bool, bits: int) -> bool:
     return total <= LARGEST and (meshes == 1 or fillers) and BUCKET_BITS < bits < 32
 
 
+def counts_behind(keys: wp.array, total: int) -> wp.array:
+    """The numbers of buckets in the memory of a radix sort of so many keys, (BUCKETS) int32, or none of few keys."""
+    device: Any = keys.device
+    at: Any = keys.ptr
+    return array_at(
+        at + 8 * (-(-total // 2)) + 8 * total, (int(BUCKETS) if total > COMPARED else 0,), wp.int32, device.alias
+    )
+
+
 class RankSort:
     """A sort in the memory of a radix sort.
 
@@ -204,13 +213,11 @@ class RankSort:
         self.short = part(keys.ptr, total, wp.int32)
         self._numbers, self._ordered = part(slots.ptr, total, wp.int32), part(slots.ptr + 4 * total, total, wp.int32)
         self._placed = part(keys.ptr + 8 * (-(-total // 2)), total, wp.int64)
-        behind = self._placed.ptr + 8 * total
-        self.counts = part(behind, buckets, wp.int32)
-        self._starts = part(behind + 4 * buckets, buckets + 1, wp.int32)
+        own: Any = counts_behind(keys, total)
+        self._starts = part(own.ptr + 4 * buckets, buckets + 1, wp.int32)
+        self.counts = own if counts is None or not buckets else counts
         if buckets and counts is None:
             self.counts.zero_()
-        elif buckets:
-            self.counts = counts
 
     def order(self, tree: Tree) -> wp.array:
         """The numbers in `slots` in the order of their keys."""
