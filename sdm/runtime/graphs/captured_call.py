@@ -120,8 +120,8 @@ class Recording:
 class CapturedCall(Recording):
     """`work(verify, *inputs)`, recorded: for other inputs of the same shapes.
 
-    It is launched by `launch` alone: a graph that is replayed by hand after another recording's reads that one's scratch
-    in the place of its inputs (bench/decisions/0067-blocks-of-a-thread-block.md).
+    It is launched by `launch` alone: a graph that is replayed by hand after another recording's reads that one's
+    scratch in the place of its inputs (bench/decisions/0067-blocks-of-a-thread-block.md).
 
     Args:
         pool: Where to take memory.
