@@ -61,7 +61,7 @@ class Report:
     whole: Host
 
 
-class _FirstLaunch(Exception):
+class FirstLaunch(Exception):
     """Ends a call where its first kernel would be launched."""
 
 
@@ -91,7 +91,7 @@ def _one() -> int:
 
 
 def _stop(*_: Any) -> None:
-    raise _FirstLaunch
+    raise FirstLaunch
 
 
 def entered(call: Callable[[], object]) -> list[tuple[str, str]]:
@@ -107,7 +107,7 @@ def entered(call: Callable[[], object]) -> list[tuple[str, str]]:
 
     sys.setprofile(watch)
     try:
-        with suppress(_FirstLaunch):
+        with suppress(FirstLaunch):
             call()
     finally:
         sys.setprofile(None)
@@ -134,7 +134,7 @@ def _fewest(call: Callable[[], Callable[[], object]]) -> list[tuple[str, str]]:
 
 def _us(call: Callable[[], object]) -> float:
     begin = time.thread_time()
-    with suppress(_FirstLaunch):
+    with suppress(FirstLaunch):
         call()
     return 1e6 * (time.thread_time() - begin)
 

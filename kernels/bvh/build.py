@@ -230,11 +230,10 @@ def _gather_triangles(
     write4(normals, slots_of(one, mesh) + f, n[0], n[1], n[2], 0.0)
 
 
-def reset_bounds(bounds: wp.array, zeros: wp.array | None = None) -> None:
-    """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`, and fill (n,) int32 with zeros."""
+def reset_bounds(bounds: wp.array) -> None:
+    """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`."""
     device: Any = bounds.device
-    zeros = array_at(0, (0,), wp.int32, device.alias) if zeros is None else zeros
-    launch(_reset_bounds, max(bounds.shape[0], zeros.shape[0]), [bounds, zeros], device)
+    launch(_reset_bounds, bounds.shape[0], [bounds, array_at(0, (0,), wp.int32, device.alias)], device)
 
 
 def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.array) -> None:
@@ -284,7 +283,8 @@ def build_tree(
         if counts is None and _is_ranked(tree, bounds.device, meshes, fillers):
             # A launch of its own for so few zeros would be waited for as long as one that works.
             counts = counts_behind(keys, total)
-        reset_bounds(bounds, counts)
+        zeros = slots[:0] if counts is None else counts
+        launch(_reset_bounds, max(6 * meshes, zeros.shape[0]), [bounds, zeros], vertices.device)
         reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers, counts=counts)

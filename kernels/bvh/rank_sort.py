@@ -32,7 +32,6 @@ AT_ONCE, OF_BUCKET = 8, 4
 SHARING = 8
 
 Counts = wp.types.vector(length=AT_ONCE, dtype=wp.int32)
-Keys = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
 KeysOfBucket = wp.types.vector(length=OF_BUCKET, dtype=wp.int64)
 
 

@@ -65,8 +65,14 @@ def class_map(
     given = vertices.contiguous(), faces.contiguous(), grid, count, total, device
     # Until the launch no more than it takes.
     edges = min(2 * count - total, MANY_EDGES)
+
+    def launched(values: Tensor, told: Told) -> _Found[T]:
+        return _Found(make(values), told)
+
+    about = kind, decisions, given
     if looks_closed(total, count):
-        found, said = _attempt(kind, decisions, 0, given, make)
+        call = class_call(*about, 0, partial(_call_of_larger, *about, 0, launched), launched)
+        found, said = graphs.attempt_by_table(call)
         if found is not None:
             remember_later(faces, count, partial(_closed_pairing, found.told, graphs.last_launch(device)))
             return found.made, None
@@ -81,7 +87,8 @@ def class_map(
         # A recording for many edges is made for meshes that have them.
         if edges > room or (edges <= MOST_EDGES < room):
             continue
-        found, said = _attempt(kind, decisions, room, given, make)
+        call = class_call(*about, room, partial(_call_of_larger, *about, room, launched), launched)
+        found, said = graphs.attempt_by_table(call)
         if found is not None:
             return found.made, _remember_open(faces, count, found.told, *said[-2:])
         edges = max([room + 1, *said[-2:]]) if said else edges
@@ -97,22 +104,19 @@ class _Found(NamedTuple, Generic[T]):
     told: Told
 
 
-def _attempt(
-    kind: CapacityClass, decisions: Decisions, room: int, given: Given, make: Callable[[Tensor], T]
-) -> tuple[_Found[T] | None, list[int]]:
-    """Result of a class's recording; of that of a larger class, if there is one, until its own is worth the time."""
-
-    def found(values: Tensor, told: Told) -> _Found[T]:
-        return _Found(make(values), told)
-
-    def of_larger() -> Any:
-        _, _, grid, _, _, device = given
-        for larger in larger_classes(kind, decisions, grid, memory_of(warp_name(device))):
-            if graphs.is_recorded(device, class_key(larger, room)):
-                return class_call(larger, decisions, given, room, None, found)
-        return None
-
-    return graphs.attempt_by_table(class_call(kind, decisions, given, room, of_larger, found))
+def _call_of_larger(
+    kind: CapacityClass,
+    decisions: Decisions,
+    given: Given,
+    room: int,
+    launched: Callable[[Tensor, Told], Any],
+) -> graphs.TableCall[Any] | None:
+    """The call of a larger class, if there is a recording of one, until that of its own class is worth the time."""
+    _, _, grid, _, _, device = given
+    for larger in larger_classes(kind, decisions, grid, memory_of(warp_name(device))):
+        if graphs.is_recorded(device, class_key(larger, room)):
+            return class_call(larger, decisions, given, room, None, launched)
+    return None
 
 
 def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:

@@ -261,8 +261,8 @@ class TableRecording(Recording):
         by_default = raw_stream(index) == 0
         results = fill(self._room, spare.pop() if spare and by_default else self._new())
         # What need not come before the launch comes after it.
-        stream = None
-        if not (by_default and pool.is_in_order):
+        stream, last = None, pool.last
+        if not (by_default and last is not None and last.by_default):
             stream = torch.cuda.current_stream(index)
             pool.begin_launch(stream)
         try:

@@ -16,7 +16,7 @@ def _nothing() -> None:
     """As a reference to a tensor that is gone."""
 
 
-class _LastLaunch:
+class LastLaunch:
     """The last launch of all recordings of a device."""
 
     def __init__(self) -> None:
@@ -38,48 +38,41 @@ class MemoryPool:
         self.launches = 0
         self._handle: Any = None
         self._stream: torch.cuda.Stream | None = before._stream if before else None
-        self._last: _LastLaunch | None = before._last if before else None
+        self.last: LastLaunch | None = before.last if before else None
 
     def open(self) -> tuple[torch.cuda.Stream, Any]:
         """The stream to record on and torch's handle of the pool, of the current device."""
         if self._stream is None:
             self._stream = torch.cuda.Stream()
-        if self._last is None:
-            self._last = _LastLaunch()
+        if self.last is None:
+            self.last = LastLaunch()
         if self._handle is None:
             self._handle = torch.cuda.graph_pool_handle()
         return self._stream, self._handle
 
     @property
-    def is_in_order(self) -> bool:
-        """True if a launch on the default stream need not wait for the one before, as that was there too.
-
-        Of two other streams with one handle nobody knows that they are one.
-        """
-        return self._last is not None and self._last.by_default
-
-    @property
     def last_launch(self) -> torch.cuda.Event | None:
         """Event after the last launch."""
-        return self._last.event if self._last else None
+        return self.last.event if self.last else None
 
     def begin_launch(self, stream: torch.cuda.Stream) -> None:
         """Make a stream wait for the launch before."""
-        if self._last is None:
+        if self.last is None:
             raise RuntimeError("a pool without a recording")
-        if not (self.is_in_order and stream.cuda_stream == 0):
-            stream.wait_event(self._last.event)
+        # Of two streams with one handle that are not the default one nobody knows that they are one.
+        if not (self.last.by_default and stream.cuda_stream == 0):
+            stream.wait_event(self.last.event)
 
     def end_launch(self, stream: torch.cuda.Stream) -> None:
         """Take note of the launch that was queued on a stream."""
-        if self._last is not None:
-            self._last.event.record(stream)
-            self._last.by_default = stream.cuda_stream == 0
+        if self.last is not None:
+            self.last.event.record(stream)
+            self.last.by_default = stream.cuda_stream == 0
 
     def finish(self) -> None:
         """Wait for the last launch."""
-        if self._last is not None:
-            self._last.event.synchronize()
+        if self.last is not None:
+            self.last.event.synchronize()
 
 
 class InputCache:
