@@ -24,6 +24,8 @@ class PlanOptions:
         block_parts: Groups of lanes that measure each block: 1, or with 2, 4 or 8 all of a GPU's thread block; but so
             many where closest points are wanted too.
         split_length: Leaves of a cell's candidate list that one group of lanes takes, at least 1.
+        by_brick: True for a list of its own for each brick of a cell of 16^3 voxels, False for one that they share.
+        list_split: Leaves of a cell's candidate list that one group of lanes makes such lists of, at least 1.
         levels_left_out: Last levels of the tree that candidate lists do without, as far as it has them.
         pool_entries: Entries of the pool of candidate lists.
         most_regions: Regions of a pass.
@@ -43,6 +45,8 @@ class PlanOptions:
     block_shares: int | None = None
     block_parts: int | None = None
     split_length: int | None = None
+    by_brick: bool | None = None
+    list_split: int | None = None
     levels_left_out: int | None = None
     pool_entries: int | None = None
     most_regions: int | None = None

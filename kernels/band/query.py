@@ -22,7 +22,7 @@ from sdm.kernels.dense.block.winners import MISSED, BlockOutput, put_in_block
 from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
-from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
+from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS, blocks_for
 from sdm.kernels.dense.counters import NEXT_CHUNK
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.query import OwnStages, Surface, run_stages
@@ -210,7 +210,7 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | 
         block_parts=1,
         together=False,
         chunks=chunks,
-        blocks=8 * most,
+        blocks=blocks_for(most, 0, NO_SPLITS, plan.by_brick),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.dense.counters import COARSE, LENGTHS, SPLIT_CELLS, WHOLE
+from sdm.kernels.dense.counters import COARSE, LENGTHS, MORE_SPLITS, SPLIT_CELLS, WHOLE
 from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
@@ -72,6 +72,11 @@ class BlockSchedule:
     counters: wp.array(dtype=wp.int32)  # (COUNTS) of the pass, see `counters`
     parts: wp.int32  # groups of lanes that measure each block, some of its octants each: 1, 2, 4 or 8; with winners
     together: wp.int32  # without: 1 if all groups of a thread block measure each block
+    # Where bricks have lists of their own: splits of all cells' lists beyond the first of each, at most; else -1.
+    # Leaves of such a split, and how many of them one group measures.
+    more: wp.int32
+    list_split: wp.int32
+    at_once: wp.int32
 
 
 @wp.func
@@ -112,9 +117,18 @@ def length_class(length: int):
 
 @wp.func
 def share_out(schedule: BlockSchedule, whole: bool, number: int, length: int, split_length: int):
-    """Note a cell, `whole` or brick by brick, once for each split of its list."""
-    splits = wp.clamp((length + split_length - 1) / split_length, 1, _MOST_SPLITS)
-    if splits > 1:
+    """Note a cell, `whole` or brick by brick, once for each split of its list.
+
+    Where bricks have lists of their own, splits of `list_split` leaves are what a group makes lists of; `at_once` of
+    them are measured by one. Then there are splits as far as there is room.
+    """
+    by_brick = schedule.more >= 0
+    each = wp.where(by_brick and whole, schedule.list_split, split_length)
+    splits = wp.clamp((length + each - 1) / each, 1, _MOST_SPLITS)
+    if by_brick and splits > 1:
+        if fetch_add(schedule.counters, MORE_SPLITS, splits - 1) + splits - 1 > schedule.more:
+            splits = 1
+    if splits > wp.where(by_brick and whole, schedule.at_once, 1):
         schedule.split_cells[fetch_add(schedule.counters, SPLIT_CELLS, 1)] = number
         schedule.lacking[number] = 0
     code = number | ((splits - 1) << (CELL_BITS + SPLIT_BITS))

@@ -35,6 +35,10 @@ SHORT = 64
 # Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
 # features that do not matter to a brick are worked out for it all the same.
 SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
+# And of those on grids of so many voxels, or more, across, which have enough such cells to keep a GPU busy. Their
+# bricks get lists of their own where cells are expected to have so many triangles or more.
+FINE_FOR_LISTS = ((384, 2000), (256, 400))
+SHORT_FOR_LISTS = 25
 # Voxels along the longest axis of the smallest grid that may have them: bricks of 8^3 voxels of a coarser one around a
 # mesh are too wide for float32, and are searched voxel by voxel (`region_grid.is_coarse`).
 FINE_FOR_WIDE = 96
@@ -50,6 +54,10 @@ LONG_FOR_LEAVES = 400
 # last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
 LONG_SPLIT, SHORT_SPLIT, FEW_CELLS = 512, 370, 1 << 13
 NO_SPLITS = 1 << 30
+# Leaves of a cell's list of which one group makes lists by brick, twice as many where there are more than so many
+# cells; and splits of lists beyond the first that there is room for, on average, and in all.
+LIST_SPLIT, CELLS_FOR_LONG = 128, 1 << 14
+MORE_SPLITS, SPLITS_OF_ALL = 8, 1 << 18
 # Voxels along the longest axis of a slab from which on its bricks are hardly ever too coarse for float32; and longer
 # than any.
 FINE, ALL_COARSE = 128, 1 << 30
@@ -70,16 +78,22 @@ def expected_list(triangles: int, shape: Sequence[int], cell: int) -> float:
     return 1.4 * triangles * cell**2 / max(shape[1:]) ** 2
 
 
-def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region: int, of_cell: int) -> float:
+def expected_entries(
+    triangles: int, shape: Sequence[int], cell: int, of_region: int, of_cell: int, by_brick: bool = False
+) -> float:
     """Entries of the pool to have for a region and its cells, on average: a fit to the same meshes, and room to spare.
 
     Of a region's leaves, and of its cells' leaves and features; half a chunk more for each chain of the first two,
-    whose last one is not full, and of the features.
+    whose last one is not full, and of the features: of cells, or of their bricks.
     """
     length = expected_list(triangles, shape, cell)
     leaves, features = 0.8 * length + 25.0, 2.0 * length + 10.0
     half = CHUNK / 2
-    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + features + half))
+    of_features = features + half
+    if by_brick:
+        splits = 1.0 + leaves / LIST_SPLIT
+        of_features = 8.0 * (2.0 * expected_list(triangles, shape, cell // 2) + 10.0 + splits * half)
+    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + of_features))
 
 
 def uneven_room(spacing: Sequence[float], turned: bool) -> float:
@@ -100,8 +114,30 @@ def cell_for(triangles: int, shape: Sequence[int], gpu: bool) -> int:
     """
     if gpu and max(shape[1:]) <= COARSE_FOR_CELLS:
         return 4
-    short = expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"]
-    return 16 if short and max(shape) >= FINE_FOR_WIDE else 8
+    short = SHORT_FOR_WIDE["cuda" if gpu else "cpu"]
+    most = next((most for fine, most in FINE_FOR_LISTS if gpu and max(shape[1:]) >= fine), short)
+    return 16 if expected_list(triangles, shape, 16) <= most and max(shape) >= FINE_FOR_WIDE else 8
+
+
+def has_brick_lists(triangles: int, shape: Sequence[int], cell: int, gpu: bool) -> bool:
+    """True if bricks of cells of so many voxels along an edge get lists of their own. It decides about no bits."""
+    fine = gpu and cell > int(BLOCK) and max(shape[1:]) >= FINE_FOR_LISTS[-1][0]
+    return fine and expected_list(triangles, shape, cell) >= SHORT_FOR_LISTS
+
+
+def list_split_for(cells: int) -> int:
+    """Leaves of a cell's list that one group of lanes of a GPU makes lists by brick of."""
+    return 2 * LIST_SPLIT if cells > CELLS_FOR_LONG else LIST_SPLIT
+
+
+def blocks_for(regions: int, chunks: int, split_length: int, by_brick: bool) -> int:
+    """Blocks, one for each split of a list, that there is room for in the schedule of so many regions.
+
+    Enough for all, as every split but the last of a list is full; but of lists by brick there are only as many splits
+    as find room.
+    """
+    cells = 8 * regions
+    return cells + (min(MORE_SPLITS * cells, SPLITS_OF_ALL) if by_brick else chunks * CHUNK // split_length)
 
 
 def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int]:

@@ -6,8 +6,8 @@ the pool, and blocks by their kind and the length of their lists.
 
 from __future__ import annotations
 
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_CELL_TO_SCHEDULE, NEXT_LIST, NEXT_BLOCK = range(6)
-NEXT_CHUNK, COARSE, SPLIT_CELLS, WHOLE = range(6, 10)
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_CELL_TO_SCHEDULE, NEXT_LIST, NEXT_BRICK_LISTS, NEXT_BLOCK = range(7)
+NEXT_CHUNK, COARSE, SPLIT_CELLS, MORE_SPLITS, WHOLE = range(7, 12)
 # Whole blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of splits.
 LENGTHS = 10
 COUNTS = WHOLE + LENGTHS

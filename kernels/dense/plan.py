@@ -16,10 +16,13 @@ from sdm.kernels.dense.cost_model import (
     FINE,
     MOST_REGIONS,
     NO_SPLITS,
+    blocks_for,
     cell_for,
     expected_entries,
+    has_brick_lists,
     is_measured_together,
     levels_left_out,
+    list_split_for,
     passes_for,
     pool_for,
     search_is_faster,
@@ -29,6 +32,7 @@ from sdm.kernels.dense.cost_model import (
     uneven_room,
     without_idle_splits,
 )
+from sdm.kernels.dense.region_grid import BLOCK
 from sdm.kernels.plan_options import PlanOptions
 
 
@@ -71,6 +75,8 @@ class Plan:
         together: Without winners all groups of a thread block measure each block, see `block.together`.
         split_length: Leaves of a cell's candidate list that one group of lanes takes.
         chunks: Chunks of the pool of candidate lists.
+        by_brick: True if bricks of cells of 16^3 voxels have lists of their own, see `bricks.select_bricks`.
+        list_split: Leaves of a cell's candidate list that one group of lanes makes these lists of.
         blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
         most_columns: See `PlanOptions`.
         list_bricks_below: Coarse bricks of maps that are shorter along each axis are searched by lists: 0 for none.
@@ -89,6 +95,8 @@ class Plan:
     block_parts: int
     together: bool
     split_length: int
+    by_brick: bool
+    list_split: int
     chunks: int
     blocks: int
     most_columns: int | None
@@ -126,6 +134,18 @@ def decide(work: Workload, gpu: bool, options: PlanOptions) -> Decisions:
     return Decisions(method, cell, region_shares, cell_shares, min(left_out, work.depth))
 
 
+def is_by_brick(work: Workload, cell: int, gpu: bool, options: PlanOptions) -> bool:
+    """True if bricks of cells of so many voxels along an edge have lists of their own: no bits depend on it."""
+    if options.by_brick is not None:
+        return options.by_brick and cell > int(BLOCK)
+    return has_brick_lists(work.triangles, work.shape, cell, gpu)
+
+
+def lists_of(regions: int, by_brick: bool) -> int:
+    """Lists of cells, or of their bricks, in so many regions."""
+    return (64 if by_brick else 8) * regions
+
+
 @lru_cache(maxsize=256)
 def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     """The plan of a query on a GPU with so many bytes of memory, or on a CPU if that is None.
@@ -137,18 +157,22 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     nx, ny, nz = (-(-n // (2 * cell)) for n in shape)
     total = work.meshes * nx * ny * nz
     depth = work.depth - left_out
-    by_model = split_length_for(work.triangles, depth, 8 * total) if gpu else NO_SPLITS
-    split_length = options.split_length or without_idle_splits(by_model, depth)
-    expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares)
+    by_brick = is_by_brick(work, cell, gpu, options)
+    split_length = split_length_for(work.triangles, depth, lists_of(total, by_brick)) if gpu else NO_SPLITS
+    split_length = options.split_length or without_idle_splits(split_length, depth)
+    expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares, by_brick)
     expected *= uneven_room(work.spacing, work.turned)
     entries = options.pool_entries or pool_for(expected, total, memory)
     passes = passes_for(expected, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
     most = -(-total // passes)
     chunks = entries // CHUNK
     by_option = ALL_COARSE if options.list_bricks else 0
-    below = (FINE if gpu else 0) if options.list_bricks is None else by_option
+    # A coarse cell of 16^3 voxels has bricks that may be too coarse, on a grid of any size.
+    by_model = (ALL_COARSE if by_brick else FINE) if gpu else 0
+    below = by_model if options.list_bricks is None else by_option
     block_shares, block_parts = shares_and_parts(work.triangles, shape, total, cell) if gpu else (1, 1)
     together = gpu and is_measured_together(total, cell)
+    together = together if options.block_parts is None else options.block_parts > 1
     return Plan(
         method=method,
         cell=cell,
@@ -159,12 +183,14 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         region_shares=region_shares,
         cell_shares=cell_shares,
         levels_left_out=left_out,
-        block_shares=options.block_shares or block_shares,
+        block_shares=1 if by_brick else options.block_shares or block_shares,
         block_parts=options.block_parts or block_parts,
-        together=together if options.block_parts is None else options.block_parts > 1,
+        together=together and not by_brick,
         split_length=split_length,
+        by_brick=by_brick,
+        list_split=options.list_split or list_split_for(8 * total),
         chunks=chunks,
-        blocks=8 * most + chunks * CHUNK // split_length,
+        blocks=blocks_for(most, chunks, split_length, by_brick),
         most_columns=options.most_columns,
         list_bricks_below=below if max(shape) < below else 0,
     )
@@ -181,17 +207,18 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         memory: See `make_plan`.
         options: Those of the plans.
     """
-    expected = 0.0
+    expected, by_brick = 0.0, any(plan.by_brick for plan in plans)
     region_shares, cell_shares = max(plan.region_shares for plan in plans), max(plan.cell_shares for plan in plans)
     for work, plan in zip(works, plans, strict=True):
-        entries = expected_entries(work.triangles, work.shape, plan.cell, region_shares, cell_shares)
+        entries = expected_entries(work.triangles, work.shape, plan.cell, region_shares, cell_shares, by_brick)
         expected += plan.total * entries * uneven_room(work.spacing, work.turned)
     total = sum(plan.total for plan in plans)
     split_length = NO_SPLITS
     if memory is not None:
         depths = [work.depth - plan.levels_left_out for work, plan in zip(works, plans, strict=True)]
         split_length = min(
-            split_length_for(work.triangles, depth, 8 * total) for work, depth in zip(works, depths, strict=True)
+            split_length_for(work.triangles, depth, lists_of(total, by_brick))
+            for work, depth in zip(works, depths, strict=True)
         )
         split_length = without_idle_splits(split_length, max(depths))
     split_length = options.split_length or split_length
@@ -202,6 +229,7 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
     if memory is not None:
         together = is_measured_together(total, plans[0].cell)
         groups = [shares_and_parts(work.triangles, work.shape, total, plans[0].cell) for work in works]
+    together = together if options.block_parts is None else options.block_parts > 1
     block_shares, block_parts = min(groups)
     return replace(
         plans[0],
@@ -212,12 +240,14 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         passes=passes,
         most=most,
         levels_left_out=max(plan.levels_left_out for plan in plans),
-        block_shares=options.block_shares or block_shares,
+        block_shares=1 if by_brick else options.block_shares or block_shares,
         block_parts=options.block_parts or block_parts,
-        together=together if options.block_parts is None else options.block_parts > 1,
+        together=together and not by_brick,
         split_length=split_length,
+        by_brick=by_brick,
+        list_split=options.list_split or list_split_for(8 * total),
         chunks=chunks,
-        blocks=8 * most + chunks * CHUNK // split_length,
+        blocks=blocks_for(most, chunks, split_length, by_brick),
         # Of each map by itself, as alone: see `coarse_bricks`.
         list_bricks_below=max(plan.list_bricks_below for plan in plans),
     )

@@ -12,6 +12,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
+from sdm.kernels.dense.bricks.select_bricks import BRICK_BLOCKS_PER_SM, select_bricks
 from sdm.kernels.dense.coarse_bricks import SEARCH_BLOCKS_PER_SM, search_bricks
 from sdm.kernels.dense.cost_model import NO_SPLITS
 from sdm.kernels.dense.plan import Plan
@@ -234,6 +235,23 @@ def run_stages(
             with beside() as join_split:
                 # After the winding numbers, which are made there too.
                 begin_split(slab, grid, cache, schedule, out, merge_threads)
+        if plan.by_brick:
+            select_bricks(
+                tree,
+                features,
+                cones,
+                slab,
+                grid,
+                pool,
+                cells,
+                cache,
+                schedule,
+                blocks,
+                scratch,
+                stacks,
+                workers(BRICK_BLOCKS_PER_SM),
+                lanes,
+            )
         select_features(
             tree,
             frames,

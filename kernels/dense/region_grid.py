@@ -31,6 +31,7 @@ class RegionGrid:
     step: wp.int32  # from it to the next
     count: wp.int32  # regions of this pass
     cell: wp.int32  # voxels along the edge of a cell: 4, 8 or 16
+    by_brick: wp.int32  # 1 if bricks of cells of 16^3 voxels have lists of their own
 
 
 @wp.func

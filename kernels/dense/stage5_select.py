@@ -268,7 +268,9 @@ def _select_features_kernel(of_groups: Any, module: str | None = None) -> Any:
         thread = begin + wp.tid()
         lane = thread % lanes
         bricks = 8 * schedule.counters[COARSE]
-        total = bricks + whole_blocks(schedule)
+        total = int(bricks)
+        if grid.by_brick == 0:
+            total = total + whole_blocks(schedule)
         groups = groups_at_work(of_groups(blocks.shares), total, LISTING)
         stack = stack_of(stacks, thread / lanes)
         item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)

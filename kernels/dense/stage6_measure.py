@@ -93,6 +93,15 @@ def measure_scheduled(
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         here = slab_of(slab, block.mesh)
         octants = octants_in_slab(here, block.start, block.bits) & octants_of_part(item % parts, parts)
+        chains = int(shares)
+        first = listed * shares
+        if grid.by_brick != 0 and eighth >= 0:
+            # So many of a brick's chains, which lie side by side, are one block's: see `select_bricks`.
+            at_once = schedule.at_once
+            first = bricks + 8 * (listed - bricks - block.split) + eighth * block.splits + block.split
+            chains = wp.min(at_once, block.splits - block.split)
+            octants = wp.where(block.split % at_once == 0, octants, 0)
+            block.splits = wp.where(block.splits > at_once, block.splits, 1)
         if octants != 0 and is_within(here, block.start) and is_wanted(winners, block.start):
             own = worker_scratch(scratch, worker, winners)
             stack = small_stack_of(stacks, worker)
@@ -102,14 +111,14 @@ def measure_scheduled(
                 here,
                 pool,
                 blocks,
-                listed,
+                first,
                 own,
                 stack,
                 out,
                 block,
                 octants,
                 parts,
-                shares,
+                chains,
                 winners,
                 lane,
                 lanes,

@@ -102,7 +102,7 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     most, room = plan.most, plan.blocks
     grid = RegionGrid()
     grid.regions = wp.vec3i(*plan.regions)
-    grid.step, grid.cell = plan.passes, plan.cell
+    grid.step, grid.cell, grid.by_brick = plan.passes, plan.cell, int(plan.by_brick)
     regions = _lists(most, plan.region_shares, empty)
     cells = _lists(8 * most, plan.cell_shares, empty)
     cache = CellCache()
@@ -112,6 +112,8 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     share_witnesses = empty(8 * most * plan.cell_shares * 4, wp.float32)
     schedule = BlockSchedule()
     schedule.room, schedule.parts, schedule.together = room, plan.block_parts, int(plan.together)
+    schedule.more = room - 8 * most if plan.by_brick else -1
+    schedule.list_split, schedule.at_once = plan.list_split, max(1, plan.split_length // plan.list_split)
     set_array(schedule, "whole", empty(LENGTHS * room, wp.int32))
     set_array(schedule, "coarse", empty(room, wp.int32))
     set_array(schedule, "split_cells", empty(8 * most, wp.int32))

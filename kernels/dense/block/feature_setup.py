@@ -60,11 +60,71 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
+def directions_of_corner(
+    scratch: wp.uint64,
+    number: int,
+    box: VoxelBox,
+    k: int,
+    first: wp.vec3,
+    second: wp.vec3,
+    third: wp.vec3,
+    over_ab: wp.vec3,
+    over_bc: wp.vec3,
+    over_ca: wp.vec3,
+    one_more: float,
+    further: wp.vec3,
+    room_of: float,
+):
+    """Write the five tests of directions of corner k of a triangle, whose neighbours' far corners are `over_...`.
+
+    From the corner `one_more` there is one more edge, to `further`. There is so many times the room for rounding.
+    """
+    before = wp.where(k == 0, 2, k - 1)
+    corner = one_of(k, first, second, third)
+    q = corner - box.centre
+    # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
+    beyond = wp.vec3()
+    if one_more == float(k):
+        beyond = further - corner
+    room = room_of * room_for(box, q)
+    test_direction(scratch, 0, number, room, q, one_of(k, second, third, first) - corner)
+    test_direction(scratch, 1, number, room, q, one_of(before, first, second, third) - corner)
+    test_direction(scratch, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
+    test_direction(scratch, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
+    test_direction(scratch, 4, number, room, q, beyond)
+
+
+@wp.func
+def directions_of_edge(
+    scratch: wp.uint64,
+    number: int,
+    box: VoxelBox,
+    begin: wp.vec3,
+    end: wp.vec3,
+    normal: wp.vec3,
+    inward: wp.vec3,
+    room_of: float,
+):
+    """Write the four tests of directions of an edge of a triangle with a normal; `inward`: into its neighbour.
+
+    There is so many times the room for rounding.
+    """
+    # Between its ends, outside of the face and of its neighbour.
+    edge = end - begin
+    p = begin - box.centre
+    q = end - box.centre
+    room = room_of * room_for(box, p)
+    test_direction(scratch, 0, number, room, p, -edge)
+    test_direction(scratch, 1, number, room_of * room_for(box, q), q, edge)
+    test_direction(scratch, 2, number, room, p, wp.cross(normal, edge))
+    test_direction(scratch, 3, number, room, p, inward)
+
+
+@wp.func
 def add_corner(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes."""
     slot = code / 4
     k = code % 4
-    before = wp.where(k == 0, 2, k - 1)
     # All loads at once, four numbers at a time.
     first, second, third, _normal = load_corners(tree, slot)
     one_more = last_of_row(features, slot, 1)
@@ -78,16 +138,10 @@ def add_corner(scratch: wp.uint64, number: int, tree: Tree, features: Features, 
     q = corner - box.centre
     m = wp.vec3d(corner) - wp.vec3d(box.centre)
     write_row(scratch, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
-    # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
-    further = wp.vec3()
-    if one_more == float(k):
-        further = wp.vec3(r3[3], r4[3], r5[3]) - corner
-    room = room_for(box, q)
-    test_direction(scratch, 0, number, room, q, one_of(k, second, third, first) - corner)
-    test_direction(scratch, 1, number, room, q, one_of(before, first, second, third) - corner)
-    test_direction(scratch, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
-    test_direction(scratch, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
-    test_direction(scratch, 4, number, room, q, further)
+    further = wp.vec3(r3[3], r4[3], r5[3])
+    directions_of_corner(
+        scratch, number, box, k, first, second, third, over_ab, over_bc, over_ca, one_more, further, 1.0
+    )
     test_witness(scratch, 5, number, q, 0.0)
 
 
@@ -110,16 +164,9 @@ def add_edge(scratch: wp.uint64, number: int, tree: Tree, features: Features, co
     write_row(scratch, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
     write_row(scratch, BATCH + number, e[0], e[1], e[2], float(-along))
     write_float(scratch, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
-    # Between its ends, outside of the face and of its neighbour.
-    edge = end - begin
-    p = begin - box.centre
-    q = end - box.centre
-    room = room_for(box, p)
-    test_direction(scratch, 0, number, room, p, -edge)
-    test_direction(scratch, 1, number, room_for(box, q), q, edge)
-    test_direction(scratch, 2, number, room, p, wp.cross(normal, edge))
-    test_direction(scratch, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
-    test_witness(scratch, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
+    directions_of_edge(scratch, number, box, begin, end, normal, wp.vec3(inward[0], inward[1], inward[2]), 1.0)
+    middle = 0.5 * ((begin - box.centre) + (end - box.centre))
+    test_witness(scratch, 4, number, middle, bulge_of_edge(end - begin))
 
 
 @wp.func

@@ -105,7 +105,7 @@ def measure_block(
     slab: Slab,
     pool: ChunkPool,
     blocks: CandidateLists,
-    item: int,
+    first: int,
     scratch: wp.uint64,
     stack: wp.array(dtype=wp.int32),
     out: Output,
@@ -117,20 +117,20 @@ def measure_block(
     lane: int,
     lanes: int,
 ):
-    """Measure a block's `octants` (bits) from the features of list `item`; without one, every voxel is missed.
+    """Measure a block's `octants` (bits) from the features of its list; without one, every voxel is missed.
 
-    They are one of so many `parts`, and the list has so many `shares`.
+    They are one of so many `parts`, and the list is that of so many chains (`shares`) from `first` on.
     """
     write_coordinates(tree, slab, scratch, block, lane, lanes)
     begin_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
     reader = Reader()
-    if list_length(blocks, item * shares, shares) >= 0:
+    if list_length(blocks, first, shares) >= 0:
         if on_cpu() and slab.turned == 0 and by_octants(winners):
-            measure_list(tree, features, pool, blocks, item, shares, scratch, block, octants, room)
+            measure_list(tree, features, pool, blocks, first, shares, scratch, block, octants, room)
         else:
-            reader = start_reading(blocks, item * shares, shares)
+            reader = start_reading(blocks, first, shares)
     # Each batch is read while the one before is worked out.
     upcoming = read_entry(pool, reader, lane)
     corners = int(0)

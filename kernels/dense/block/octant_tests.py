@@ -143,8 +143,12 @@ def _eight(step: float) -> str:
 """
 
 
-@wp.func_native(
-    snippet=f"""
+def _first_boxes(step: float, keep: str) -> str:
+    """Native text: which of eight boxes of so many voxels along each axis pass all tests of a feature.
+
+    `keep`: what is done with a test in steps of the lattice, whose limit has room for two voxels along each axis.
+    """
+    return f"""
     {FUSED}
     {_ROW}
     const Row* lattice = reinterpret_cast<const Row*>(scratch) + {LATTICE_ROW};
@@ -162,18 +166,26 @@ def _eight(step: float) -> str:
         // The least value of two voxels along each axis is so much less than that of the first; of four, three times.
         const float less = 0.5f * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z) - (u.x + u.y + u.z));
         u.w += less;
-        const float left = u.w + 2.0f * less;
-        *row = u;
-        {_eight(4.0)}
+        const float left = u.w + {step - 2.0}f * less;
+        {keep}
+        {_eight(step)}
     }}
     return 255 & ~dropped;
 """
-)
+
+
+@wp.func_native(snippet=_first_boxes(4.0, "*row = u;"))
 def octants_of(scratch: wp.uint64, number: int, tests: int) -> int:
     """The octants of the block, as bits, that pass all the tests of a feature.
 
     These are written anew, in steps of the lattice from its first voxel, as `eighths_of` wants them.
     """
+    ...
+
+
+@wp.func_native(snippet=_first_boxes(8.0, ""))
+def bricks_of(scratch: wp.uint64, number: int, tests: int) -> int:
+    """The bricks of 8^3 voxels of a cell of 16^3, as bits, that pass all the tests of a feature."""
     ...
 
 

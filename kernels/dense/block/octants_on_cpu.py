@@ -219,17 +219,17 @@ def measure_list(
     features: Features,
     pool: ChunkPool,
     blocks: CandidateLists,
-    item: int,
+    first: int,
     shares: int,
     scratch: wp.uint64,
     block: Block,
     octants: int,
     room: float,
 ):
-    """Measure a block's `octants` (bits), on a grid along x, y and z, from the features of list `item`."""
+    """Measure a block's `octants` (bits), on a grid along x, y and z, from the features of chains from `first` on."""
     box = block.box
     begin_octants(scratch, -block.known.to_surface)
-    reader = start_reading(blocks, item * shares, shares)
+    reader = start_reading(blocks, first, shares)
     upcoming = read_entry(pool, reader, 0)
     before = int(-1)
     while reader.left > 0:
@@ -241,7 +241,7 @@ def measure_list(
         before = slot
     wide = box.half[0] + box.half[1] + box.half[2]
     end_witnesses(scratch, box.half2, box.diagonal, wide)
-    reader = start_reading(blocks, item * shares, shares)
+    reader = start_reading(blocks, first, shares)
     upcoming = read_entry(pool, reader, 0)
     while reader.left > 0:
         feature = upcoming

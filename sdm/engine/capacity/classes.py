@@ -19,7 +19,7 @@ from sdm.engine.plan_override import OPTIONS, USUAL
 from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_large_leaves, shares_of, uneven_room
-from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, joint_plan, make_plan
+from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, is_by_brick, joint_plan, make_plan
 from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION, REGION_SHARES, SLAB_ROW, SPACING, VOXEL
 from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding.cap_tree import depth_of_caps
@@ -266,6 +266,7 @@ def _class(
         region_shares=region_shares,
         cell_shares=cell_shares,
         levels_left_out=_decided(most, shape, gpu, options).levels_left_out,
+        by_brick=is_by_brick(work, cell, gpu, options),
     )
     plan = replace(joint_plan([work], [own], memory, options), levels_left_out=left_out)
     return CapacityClass(most, room, shape, turned, plan) if plan.passes == 1 else None

@@ -56,6 +56,24 @@ def test_lists_in_shares():
         assert torch.equal(values, sdm.MeshIndex((vertices, faces), "cpu").signed_distance_map(grid).values)
 
 
+def test_lists_by_brick():
+    """As on a large grid on a GPU: bricks of cells of 16^3 voxels have lists of their own."""
+    case = load_case("torus-5000")
+    vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
+    # So fine that no cell is coarse.
+    grid = sdm.Grid([-1.0, -0.3, -0.3], [0.01] * 3, [60, 45, 50])
+    for by_brick in (True, False):
+        with plan_override(
+            cell=16, by_brick=by_brick, list_split=16, split_length=64, shares=(8, 2), slice_factors=(1,)
+        ):
+            kind, values, _, _ = _class_map(vertices, faces, grid)
+            assert kind.plan.by_brick == by_brick
+            assert torch.equal(values, sdm.MeshIndex((vertices, faces), "cpu").signed_distance_map(grid).values)
+            if by_brick:
+                first = values
+    assert torch.equal(values, first)
+
+
 def test_the_table_has_every_entry_in_its_place():
     grid = sdm.Grid([1, 2, 3], [0.1, 0.2, 0.3], [10, 11, 12], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
     kind, decisions = class_of(1000, 500, grid, None)
@@ -127,7 +145,9 @@ def test_no_class_for_what_is_searched_voxel_by_voxel():
 
 
 @pytest.mark.parametrize("gpu", [False, True])
-@pytest.mark.parametrize("shape", [(15, 15, 15), (64, 64, 64), (96, 96, 96), (256, 256, 256), (40, 33, 90)])
+@pytest.mark.parametrize(
+    "shape", [(15, 15, 15), (64, 64, 64), (96, 96, 96), (256, 256, 256), (512, 512, 512), (40, 33, 90)]
+)
 def test_a_class_has_room_for_what_is_decided_about_each_of_its_meshes(gpu, shape):
     memory, grid = 1 << 36 if gpu else None, sdm.Grid([0] * 3, [1] * 3, shape)
     faces = 1
@@ -145,6 +165,7 @@ def test_a_class_has_room_for_what_is_decided_about_each_of_its_meshes(gpu, shap
             kind, decisions = found
             assert decisions == expected
             assert kind.plan.cell == expected.cell
+            assert not kind.plan.by_brick or kind.plan.cell == 16
             assert kind.plan.region_shares >= expected.region_shares
             assert kind.plan.cell_shares >= expected.cell_shares
             assert kind.plan.levels_left_out >= expected.levels_left_out

@@ -14,6 +14,7 @@ from sdm.kernels.dense.cost_model import (
     SMALLEST_POOL,
     cell_for,
     expected_entries,
+    has_brick_lists,
     is_measured_together,
     levels_left_out,
     passes_for,
@@ -43,8 +44,20 @@ def test_every_slab_of_a_grid_is_treated_alike(triangles):
 
 def test_cells_are_large_where_a_mesh_is_coarse_for_its_grid():
     assert cell_for(20_000, [512] * 3, gpu=True) == cell_for(2_000, [256] * 3, gpu=True) == 16
-    assert cell_for(20_000, [256] * 3, gpu=True) == cell_for(100_000, [512] * 3, gpu=True) == 8
+    assert cell_for(20_000, [200] * 3, gpu=True) == cell_for(100_000, [256] * 3, gpu=True) == 8
+    # Where there are many of them their lists may be long.
+    assert cell_for(20_000, [256] * 3, gpu=True) == cell_for(1_000_000, [512] * 3, gpu=True) == 16
+    assert cell_for(2_000_000, [512] * 3, gpu=True) == 8
     assert cell_for(20_000, [512] * 3, gpu=False) == 8
+
+
+def test_bricks_have_lists_of_their_own_where_those_of_cells_are_long():
+    assert has_brick_lists(20_000, [512] * 3, 16, gpu=True)
+    assert has_brick_lists(20_000, [256] * 3, 16, gpu=True)
+    assert not has_brick_lists(1_000, [256] * 3, 16, gpu=True)
+    assert not has_brick_lists(4_000, [128] * 3, 16, gpu=True)
+    assert not has_brick_lists(100_000, [256] * 3, 8, gpu=True)
+    assert not has_brick_lists(20_000, [512] * 3, 16, gpu=False)
 
 
 def test_lists_are_shared_where_they_are_few_or_long():

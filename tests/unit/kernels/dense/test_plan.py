@@ -58,6 +58,9 @@ def test_a_cpu_has_one_group_for_each_list():
         ({"cell": 16}, {"cell": 16, "regions": (4, 4, 4)}),
         ({"shares": (8, 4)}, {"region_shares": 8, "cell_shares": 4}),
         ({"split_length": 7}, {"split_length": 7}),
+        ({"cell": 16, "by_brick": True, "list_split": 5}, {"by_brick": True, "list_split": 5, "block_shares": 1}),
+        ({"cell": 16, "by_brick": False}, {"by_brick": False}),
+        ({"cell": 8, "by_brick": True}, {"by_brick": False}),
         ({"levels_left_out": 2}, {"levels_left_out": 2}),
         ({"levels_left_out": 99}, {"levels_left_out": depth_for(20_000)}),
         ({"pool_entries": 1 << 22}, {"chunks": (1 << 22) // CHUNK}),
@@ -80,6 +83,18 @@ def test_lists_are_split_only_where_one_may_be_long_enough(triangles, splits):
     others = [work, workload(100, (64, 64, 64))]
     joint = joint_plan(others, [make_plan(other, GPU, USUAL) for other in others], GPU, USUAL)
     assert (joint.split_length < NO_SPLITS) == (joint.split_length < 1 << work.depth)
+
+
+def test_meshes_planned_together_have_lists_by_brick_if_any_has():
+    """Of cells of 16^3 voxels: those of the smaller mesh would be measured from one list."""
+    works = [workload(triangles, (256, 256, 256)) for triangles in (1_000, 20_000)]
+    plans = [make_plan(work, GPU, USUAL) for work in works]
+    assert [(plan.cell, plan.by_brick) for plan in plans] == [(16, False), (16, True)]
+    for order in (1, -1):
+        joint = joint_plan(works[::order], plans[::order], GPU, USUAL)
+        assert joint.by_brick
+        assert joint.blocks > 8 * joint.most
+        assert joint.block_shares == 1
 
 
 def test_no_pass_has_more_regions_than_can_be_numbered():
