@@ -250,4 +250,4 @@ def test_the_room_that_is_expected_is_enough(turned, voxels):
         values_of(mesh, grid, by_brick=True, list_split=128)
     regions = int(np.prod(-(-shape // 32)))
     expected = cost_model.expected_entries(len(case.faces), voxels, 16, 1, 1, by_brick=True) * regions
-    assert sum(used) <= expected * cost_model.uneven_room(spacing, turned)
+    assert sum(used) <= expected * cost_model.uneven_room(spacing.tolist(), turned)
