@@ -62,7 +62,7 @@ def values_of(mesh: sdm.TriangleMesh, grid: sdm.Grid, **options: Any) -> torch.T
 
 
 class Seen:
-    """What stage 5 has made: of a pass the blocks, and the splits that were asked for beyond each list's first."""
+    """Counts of a pass after stage 5: blocks, and splits that were asked for beyond each list's first."""
 
     def __init__(self) -> None:
         self.entries: list[int] = []
