@@ -25,6 +25,7 @@ from sdm.kernels.geometry.voxel_grid import (
 )
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import GPU_LANES, ballot, members, on_cpu
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,20 +52,39 @@ def split_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockS
     return mesh, cell, wp.where(is_within(here, at), index_of(here, mesh, at), -1)
 
 
+@wp.func
+def add_unclear(out: Output, mesh: int, unclear: int, number: int):
+    """Add what a group of lanes has counted to a mesh's ambiguous voxels, once for all lanes; nothing is left."""
+    if unclear > 0 and (on_cpu() or number % GPU_LANES == 0):
+        fetch_add(out.ambiguous, mesh, unclear)
+    return int(0)
+
+
 @wp.kernel
 def _begin_split(
     begin: int, threads: int, slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output
 ):
-    """Begin with a distance for the splits to lessen: an infinite one, with its sign."""
+    """Begin with a distance for the splits to lessen: an infinite one, with its sign.
+
+    The lanes of a group are in one cell: they count its ambiguous voxels together, as a million additions to one count
+    took longer than all distances.
+    """
     number = begin + wp.tid()
+    unclear = int(0)
+    counted = int(0)
     while number < split_voxels(grid, schedule):
         mesh, _cell, index = split_voxel(slab, grid, cache, schedule, number)
+        if mesh != counted:
+            unclear = add_unclear(out, counted, unclear, number)
+            counted = mesh
+        found = int(0)
         if index >= 0:
             winding = out.values[index]
             out.values[index] = with_sign(float(wp.inf), winding)
-            if is_unclear(winding) != 0:
-                fetch_add(out.ambiguous, mesh, 1)
+            found = is_unclear(winding)
+        unclear = unclear + members(ballot(found != 0))
         number = number + threads
+    add_unclear(out, counted, unclear, number)
 
 
 @wp.kernel

@@ -64,15 +64,21 @@ NEAREST = 1.0e-7
 
 
 @wp.func
+def most_from(area: float, left: float):
+    """A bound of the solid angle of caps of so much area that are so far away."""
+    most = float(2.0 * wp.PI)
+    if left > NEAREST:
+        most = wp.min(most, WIDER * about_quotient(area, left * left))
+    return most
+
+
+@wp.func
 def most_of(caps: Caps, node: int, centre: wp.vec3, radius: float):
     """A bound of the solid angle of what is under a node, for all points within `radius` of the centre."""
     r0 = load4(caps.moments, _ROWS * node)
     way = wp.vec3(r0[0], r0[1], r0[2]) - centre
     left = about_root(wp.dot(way, way)) - (radius + r0[3]) * WIDER
-    most = float(2.0 * wp.PI)
-    if left > NEAREST:
-        most = wp.min(most, WIDER * about_quotient(load4(caps.moments, _ROWS * node + 1)[0], left * left))
-    return most
+    return most_from(load4(caps.moments, _ROWS * node + 1)[0], left)
 
 
 @wp.func
@@ -86,6 +92,16 @@ def rest_of(radius: float, r: float, sigma: float, rho: float, inverse: float):
     far2 = far * far
     fourth = far2 * (far2 + 4.0 * far * mean + 6.0 * square) + square * wide * (4.0 * far + wide)
     return (5.0 - 4.0 * rho) * fourth
+
+
+@wp.func
+def add_far(field: Field, caps: Caps, node: int, centre: wp.vec3, radius: float):
+    """Add what is under a node, counted through all trees, to a field about a centre that it is far from."""
+    r0 = load4(caps.moments, _ROWS * node)
+    r1 = load4(caps.moments, _ROWS * node + 1)
+    u = wp.vec3(r0[0], r0[1], r0[2]) - centre
+    m = load_rest(caps.moments, node, r0, r1)
+    return add_node(field, m, load_fourth(caps.moments, node), u, about_inverse_root(wp.dot(u, u)), radius)
 
 
 @wp.func
@@ -208,13 +224,7 @@ def see_caps(
             taken = wp.min(some, queued)
             queued = queued - taken
             if mine < taken:
-                node = base + stack[far_at + queued + mine]
-                r0 = load4(caps.moments, _ROWS * node)
-                r1 = load4(caps.moments, _ROWS * node + 1)
-                u = wp.vec3(r0[0], r0[1], r0[2]) - centre
-                m = load_rest(caps.moments, node, r0, r1)
-                m4 = load_fourth(caps.moments, node)
-                field = add_node(field, m, m4, u, about_inverse_root(wp.dot(u, u)), radius)
+                field = add_far(field, caps, base + stack[far_at + queued + mine], centre, radius)
                 steps = steps + 1.0
         elif can_look and (on_cpu() or 4 * ready < 3 * lanes):
             taken = wp.min(looks, waiting)

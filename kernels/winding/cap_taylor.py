@@ -108,6 +108,18 @@ def bound_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: float
 
 
 @wp.func
+def may_be_expanded(r: float, distance: float, radius: float, tolerance: float):
+    """False if the Taylor polynomial of a cap within r of its middle leaves out more than a tolerance for certain.
+
+    Its longest edge is at least 1.5 r long, and nowhere nearer than its ends, which are no further than distance + r:
+    that edge's bound is too large then (`bound_of_edge`).
+    """
+    near = about_quotient(1.0, distance + r)
+    rho = radius * near
+    return wp.min(1.49 * r * near, 1.5) * (rho * rho) * (rho * rho) <= tolerance
+
+
+@wp.func
 def add_edge(field: Field, a: wp.vec3, b: wp.vec3, radius: float):
     """Add to a field the polynomial of an edge from a to b, seen from the box's centre, without what it leaves out."""
     ia = about_inverse_root(wp.dot(a, a))

@@ -28,12 +28,23 @@ from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import MOST_NEAR
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE, UNSURE
+from sdm.kernels.winding.looks.count_places import (
+    ALONE,
+    BITS,
+    COUNTS,
+    EXACT,
+    LENGTH,
+    LOOKED,
+    NEXT,
+    NEXT_UNSURE,
+    STRIDE,
+    UNSURE,
+)
 from sdm.kernels.winding.looks.look_again import look_again
 from sdm.kernels.winding.looks.mixed_descent import ROOM
 from sdm.kernels.winding.looks.records import new_records
 from sdm.kernels.winding.looks.see_boxes import BLOCKS as SEERS
-from sdm.kernels.winding.looks.see_boxes import see_boxes
+from sdm.kernels.winding.looks.see_boxes import SEE_BOXES
 from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
 from sdm.kernels.winding.looks.settle_boxes import settle_boxes
 from sdm.kernels.winding.near_caps import FULL
@@ -113,7 +124,7 @@ def open_caps(
         limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
         inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), fewest]
         inputs += [*boxes, *left, records, counts, stacks, lanes, values]
-        launch(see_boxes, seers * lanes, inputs, device, smallest=1)
+        launch(SEE_BOXES[int(caps.are_faces != 0)], seers * lanes, inputs, device, smallest=1)
         inputs = [caps, slab, bits, cells, level, records, *left, counts, lanes, values]
         launch(settle_boxes, settlers * lanes, inputs, device, smallest=1)
         level += 1
@@ -127,7 +138,7 @@ def open_caps(
         launch(look_again, workers * lanes, [*inputs, voxels, counts, stacks, lanes, values], device, smallest=1)
         level += 1
     if again:
-        places = [UNSURE, STRIDE * ALONE + LOOKED, EXACT]
+        places = [UNSURE, NEXT_UNSURE, STRIDE * ALONE + LOOKED, EXACT]
         sum_voxels(tree, boundary, caps, slab, voxels, places, counts, values)
     places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
     inputs = [tree, boundary, caps, 0, slab, bits, cells, fewest, *left, *places, counts, lanes, values]

@@ -9,6 +9,6 @@ BITS = (5, 4, 3, 2, 1, 0, 0)
 NEXT, LENGTH, LOOKED, RECORDED, RECORDED_NEAR, NEXT_RECORD, STRIDE = 0, 1, 2, 3, 4, 5, 6
 EXACT = STRIDE * len(BITS) + LOOKED
 ALONE = BITS.index(0)
-# Voxels that wait for sums over all caps.
-UNSURE = EXACT + 1
-COUNTS = UNSURE + 1
+# Voxels that wait for sums over all caps, and which of them is next.
+UNSURE, NEXT_UNSURE = EXACT + 1, EXACT + 2
+COUNTS = NEXT_UNSURE + 1

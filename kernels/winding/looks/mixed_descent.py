@@ -15,9 +15,9 @@ from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient
 from sdm.kernels.primitives.lanes import GPU_LANES, ballot, members, rank, unknown, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK
 from sdm.kernels.primitives.vector_loads import load4
-from sdm.kernels.winding.cap_descent import NEAREST, rest_of, sum_of_parts
-from sdm.kernels.winding.cap_field import Field, add_node
-from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_fourth, load_rest
+from sdm.kernels.winding.cap_descent import NEAREST, add_far, rest_of, sum_of_parts
+from sdm.kernels.winding.cap_field import Field
+from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps
 from sdm.kernels.winding.looks.node_sum import SUMMED
 from sdm.kernels.winding.near_caps import UNIT, WIDER, place_of_cap
 
@@ -96,13 +96,7 @@ def look_closer(
             taken = wp.min(queued, lanes)
             queued = queued - taken
             if lane < taken:
-                node = base + stack[WAITING + queued + lane]
-                r0 = load4(caps.moments, _ROWS * node)
-                r1 = load4(caps.moments, _ROWS * node + 1)
-                u = wp.vec3(r0[0], r0[1], r0[2]) - centre
-                m = load_rest(caps.moments, node, r0, r1)
-                m4 = load_fourth(caps.moments, node)
-                field = add_node(field, m, m4, u, about_inverse_root(wp.dot(u, u)), radius)
+                field = add_far(field, caps, base + stack[WAITING + queued + lane], centre, radius)
                 steps = steps + 1.0
             wait_for_lanes()
         else:

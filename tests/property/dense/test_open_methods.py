@@ -124,6 +124,7 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
         patch.setattr(sdm.engine.structure.sizes, "MOST_FOR_GROUPS", 0)
+        patch.setattr(column_sums, "BY_EIGHTS", seed % 2 > 0)
         patch.setattr(open_caps, "SUMMED", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
