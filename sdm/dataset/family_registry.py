@@ -71,6 +71,31 @@ def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
         raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error
 
 
+def family_of_manifest(manifest: dict[str, Any], given: Family | str | None = None) -> Family:
+    """The family that a dataset was made from, from its record or as it is given, and no other one.
+
+    Raises:
+        SDMError: The record does not say it, names code and nobody does, or it is another one.
+    """
+    source = manifest["source"] or {}
+    if given is None:
+        if not source.keys() & {"family", "file", "folder"}:
+            raise SDMError(
+                f"the dataset's record does not say what {manifest['recipe']['family']!r} is: give the family"
+            )
+        family = family_from(source, named=False)
+    else:
+        kept = {key: value for key, value in source.items() if key == "triangles"}
+        family = load_family(given, **kept)
+    recipe, reference = manifest["recipe"], source.get("reference")
+    what = differs_from(family, reference) if isinstance(reference, dict) else None
+    if what is None and (family.name, family.fingerprint) != (recipe["family"], recipe["fingerprint"]):
+        what = "name" if family.name != recipe["family"] else "faces or constants"
+    if what is not None:
+        raise SDMError(f"{family.name} is not the family that the dataset was made from: other {what}")
+    return family
+
+
 def with_reference(family: Family, source: dict[str, Any] | None) -> dict[str, Any] | None:
     """A source with a record of the family's shapes, where it is of the user's code: the package has its version."""
     if type(family).__module__.partition(".")[0] == __name__.partition(".")[0]:
@@ -102,6 +127,11 @@ def _of_file(options: dict[str, Any], named: bool) -> Family:
     if what is not None:
         raise SDMError(f"{name} is not the family that the dataset was made from any more: other {what}")
     return family
+
+
+def is_family(name: str) -> bool:
+    """True of a name that says a family, and not a folder of meshes."""
+    return name in FAMILIES or _is_file(name) or not Path(name).is_dir()
 
 
 def _is_file(name: str) -> bool:

@@ -15,13 +15,13 @@ from torch.utils.data import Dataset
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.dataset import layout
-from sdm.dataset.manifest import read_manifest
+from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_paths import file_of, rows_of
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import place_of
-from sdm.shapes import Parameter
-from sdm.stream import Batch
+from sdm.shapes import Family, Parameter
+from sdm.stream import Batch, SDMStream
 
 
 class SDMDataset(Dataset[Batch]):
@@ -89,6 +89,30 @@ class SDMDataset(Dataset[Batch]):
             return torch.eye(4, dtype=torch.float64, device="cpu")
         shard, row = divmod(number, self.manifest["shard"])
         return torch.linalg.inv(torch.from_numpy(self._rows("transform", range(shard, shard + 1))[row]))
+
+    def stream(self, family: Family | str | None = None, batch_size: int = 16, **options: Any) -> SDMStream:
+        """The endless stream whose first samples are this dataset's, from its record.
+
+        Args:
+            family: The shapes, or their name. If not given, those of the record; code of yours, FILE.py:NAME, is run
+                only where it is named here.
+            batch_size: Samples of a batch on each rank.
+            options: Of `SDMStream` but what the record says (grid, seed, sampler, dtype, truncate, sign, hole_size):
+                `start=len(dataset)` goes on behind the last sample.
+
+        Raises:
+            SDMError: The record does not say the family, or another one was given: in one sentence.
+        """
+        from sdm.dataset.family_registry import family_of_manifest
+
+        require_draws(self.manifest, self.path)
+        recipe = self.manifest["recipe"]
+        own = {key: recipe[key] for key in ("seed", "sampler", "truncate", "sign", "hole_size")}
+        given = sorted({"grid", "dtype", *own} & options.keys())
+        if given:
+            raise SDMError(f"{given[0]} is as in the record of {self.path}: leave it out")
+        shapes = family_of_manifest(self.manifest, family)
+        return SDMStream(shapes, self.grid, batch_size, dtype=getattr(torch, recipe["dtype"]), **own, **options)
 
     def _number(self, item: int) -> int:
         number = int(item)

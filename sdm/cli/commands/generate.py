@@ -21,6 +21,7 @@ def generate(
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    family: Annotated[str | None, tyro.conf.arg(metavar="FAMILY", help_behavior_hint="")] = None,
     count: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
     # None, so that --resume can tell what was requested.
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 64)")] = None,
@@ -78,6 +79,7 @@ def generate(
     Args:
         source: A family, or a folder of meshes. With --resume or --verify it may be left out: the dataset knows.
         out: The dataset to write, for example cochlea.zarr.
+        family: The same as a family in the first place, as the other commands take it.
         count: Number of samples.
         resolution: Voxels along each axis, of a cube that holds every shape.
         margin: Room around the shapes, as a share of the longest edge of their box.
@@ -111,10 +113,17 @@ def generate(
 
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
+    from sdm.dataset.family_registry import is_family
     from sdm.errors import SDMError
     from sdm.io.files.stand_in import shown
     from sdm.runtime.pipeline.stage_times import StageTimes
 
+    if family is not None:
+        if source is not None:
+            raise SDMError(f"{source} and --family {family} both say what to generate: give one of them")
+        if not is_family(family):
+            raise SDMError(f"--family takes a family; give the folder of meshes in the first place: {family}")
+        source = family
     options = {
         "open_meshes": open_meshes,
         "orient": orient,
@@ -153,19 +162,19 @@ def generate(
         known = _describe(source, options)
     if count is None:
         raise SDMError("say how many samples: --count")
-    family = _family(known, skip_bad or source is None, named=source is not None)
+    shapes = _family(known, skip_bad or source is None, named=source is not None)
     if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
         grid = begun
     else:
         voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
-        grid = family.grid(voxels, margin=0.05 if margin is None else margin)
+        grid = shapes.grid(voxels, margin=0.05 if margin is None else margin)
     times = StageTimes()
     with CountProgress("maps", times) as progress:
         where: dict[str, Any] = {"device": device, "ray": ray, "resume": resume}
-        dataset.generate(family, grid, count, out, source=known, progress=progress, times=times, **where, **asked)
+        dataset.generate(shapes, grid, count, out, source=known, progress=progress, times=times, **where, **asked)
     written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
     print(
-        f"{shown(out)}: {count:,} maps of {family.name}, {' x '.join(map(str, grid.shape))} voxels of "
+        f"{shown(out)}: {count:,} maps of {shapes.name}, {' x '.join(map(str, grid.shape))} voxels of "
         f"{grid.spacing[0]:.4g}, {written / 2**20:,.1f} MiB"
     )
     return None

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf.infer.isosurface import decode_mesh
-from sdm.deepsdf.networks.model import CHUNK, DeepSDF
+from sdm.deepsdf.networks.model import DeepSDF
 from sdm.deepsdf.samples import UnitSphere
 from sdm.errors import SDMError
 from sdm.fit.model.backend import Distances
@@ -15,13 +15,13 @@ from sdm.runtime.threads import threads
 from sdm.shapes import Parameter
 
 # Components of the training's codes: as many as hold this share of their variance, at most so many.
-KEPT, MOST = 0.99, 24
+KEPT, MOST = 0.99, 12
 # Deviations of a component on each side of the mean, and of the least and largest training shape's size.
 LIMIT, SMALLER, LARGER = 3.0, 0.8, 1.25
 # How far the network may be off near the surface, in radii of the sphere.
 SLACK = 0.02
-# Steps of central differences by the components, in deviations: what float32 leaves is far below the posterior's.
-STEP = 0.02
+# Points that are differentiated at a time: each sees all components.
+POINTS = 1 << 15
 # Radius at which fits work as they are.
 USUAL_RADIUS = 5.0
 
@@ -59,10 +59,10 @@ class DeepSDFBackend:
         size = Parameter("size", SMALLER * min(radii), LARGER * max(radii))
         self.parameters = (size, *(Parameter(f"code{k + 1}", -LIMIT, LIMIT, "sd") for k in range(count)))
         self.centre = torch.zeros(3, dtype=torch.float64, device=self.device)
-        self.slack = SLACK * factor * max(radii)
+        self.slack = SLACK * factor * sorted(radii)[len(radii) // 2]
         self.evaluations = 0
         # A fit gives torch one thread, which is too few for a network.
-        self._threads = torch.get_num_threads()
+        self.threads = torch.get_num_threads()
         self._theta: Tensor | None = None
 
     def code(self, theta: Tensor) -> Tensor:
@@ -73,15 +73,15 @@ class DeepSDFBackend:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
         self._count(theta)
         radius = self._radius(theta)
-        with torch.no_grad(), threads(self._threads):
+        with torch.no_grad(), threads(self.threads):
             return radius * self.model.signed_distance((points / radius).float(), self.code(theta)).double()
 
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
         """The same with their derivatives by theta and point."""
         self._count(theta)
         radius = self._radius(theta)
-        with threads(self._threads):
-            parts = [self._unit(theta, part) for part in (points / radius).float().split(CHUNK)]
+        with threads(self.threads):
+            parts = [self._unit(theta, part) for part in (points / radius).float().split(POINTS)]
         values, by_code, slope = (torch.cat(x) for x in zip(*parts, strict=True))
         # d(r f(x / r)) / dr = f - (x / r) . grad f; the radius is `factor` times the parameter.
         by_size = self.factor * (values - (points / radius * slope).sum(1))
@@ -94,18 +94,15 @@ class DeepSDFBackend:
 
     def _unit(self, theta: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values (N,), derivatives by the code's components (N,K) and by points (N,3), in the unit sphere, float64."""
-        with torch.enable_grad():
-            at = points.detach().requires_grad_()
-            values = self.model.signed_distance(at, self.code(theta))
-            (slope,) = torch.autograd.grad(values.sum(), at)
-        by_code = []
+        code = self.code(theta)
+        found = self.model.slopes(points, code)
         with torch.no_grad():
-            for k in range(1, len(self.parameters)):
-                step = torch.zeros_like(theta)
-                step[k] = STEP
-                more, less = (self.model.signed_distance(points, self.code(t)) for t in (theta + step, theta - step))
-                by_code.append((more - less).double() / (2 * STEP))
-        return values.detach().double(), torch.stack(by_code, 1), slope.double()
+            modes = directions(self._modes.float(), code, self.model.settings.code_bound)
+            seen = self.model.decoder.seen(modes, points.clamp(-1, 1).expand(len(modes), -1, -1))
+            by_code = torch.zeros(len(points), len(modes), device=points.device)
+            for by, part in zip(found.by_seen, seen, strict=True):
+                by_code += torch.einsum("ne,kne->nk", by, part.expand(-1, len(points), -1))
+        return found.values.double(), by_code.double(), found.by_point.double()
 
     def _radius(self, theta: Tensor) -> float:
         return self.factor * float(theta[0])
@@ -114,6 +111,15 @@ class DeepSDFBackend:
         if self._theta is None or not torch.equal(theta, self._theta):
             self._theta = theta.clone()
             self.evaluations += 1
+
+
+def directions(along: Tensor, code: Tensor, bound: float | None) -> Tensor:
+    """Directions (K,D) in which the bounded code moves where a code (D,) moves along (K,D)."""
+    length = code.norm()
+    if bound is None or float(length) <= bound:
+        return along
+    outward = code / length
+    return (along - (along @ outward)[:, None] * outward) * (bound / length)
 
 
 def factor_of_model(model: DeepSDF) -> float:

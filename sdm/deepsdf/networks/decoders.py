@@ -41,12 +41,20 @@ class PublishedDecoder(nn.Module):
 
     def forward(self, codes: Tensor, points: Tensor) -> Tensor:
         """Signed distances (B,N) for codes (B,D) and points (B,N,3) of the unit sphere's box."""
-        x = points
+        return self.decode(self.seen(codes, points), points)
+
+    def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+        """What a point sees of codes (B,D): all of it, (B,1,D), the same at every point; linear in the codes."""
+        return (codes[:, None],)
+
+    def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
+        """Signed distances (B,N) for what points (B,N,3) see of codes, each part (B,1,E) or (B,N,E)."""
+        x, codes = points, seen[0]
         for number, layer in enumerate(self.hidden):
             weight, bias = cast("tuple[Tensor, Tensor]", (layer.weight, layer.bias))
             if number in (0, SKIP):
                 own = weight.shape[1] - self.code_size - 3
-                of_code = linear(codes, weight[:, own:-3], bias)[:, None]
+                of_code = linear(codes, weight[:, own:-3], bias)
                 y = linear(points, weight[:, -3:]) + of_code
                 x = y + linear(x, weight[:, :own]) if own else y
             else:
@@ -82,9 +90,21 @@ class LocalDecoder(nn.Module):
 
     def forward(self, codes: Tensor, points: Tensor) -> Tensor:
         """Signed distances (B,N) for codes (B,D) and points (B,N,3) of the unit sphere's box."""
-        x = self.of_point(self._encoded(points)) + self.of_code(codes[:, : self.global_size])[:, None]
+        return self.decode(self.seen(codes, points), points)
+
+    def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+        """What points (B,N,3) see of codes (B,D): that of the whole shape, (B,1,G), and of the grids, (B,N,C).
+
+        Linear in the codes: derivatives by any number of these follow from those by what a point sees.
+        """
+        whole = codes[:, None, : self.global_size]
+        return (whole, self._local(codes, points)) if self.grids else (whole,)
+
+    def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
+        """Signed distances (B,N) for what points (B,N,3) see of codes, each part (B,1,E) or (B,N,E)."""
+        x = self.of_point(self._encoded(points)) + self.of_code(seen[0])
         if self.grids:
-            x = x + self.of_grids(self._local(codes, points))
+            x = x + self.of_grids(seen[1])
         for layer in self.hidden:
             x = layer(silu(x))
         away = points.square().sum(-1).add(1e-12).sqrt() - START_RADIUS
@@ -109,7 +129,10 @@ class LocalDecoder(nn.Module):
         return torch.cat(parts, 1).transpose(1, 2)
 
 
-def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
+Decoder = PublishedDecoder | LocalDecoder
+
+
+def make_decoder(settings: Settings) -> Decoder:
     """The network of these settings, with weights that are a function of the seed."""
     with own_random_numbers(), plain_defaults():
         torch.manual_seed(derive_seed(settings.seed, "DeepSDF weights"))

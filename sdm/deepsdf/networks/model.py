@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import choose_device
 from sdm.core.mesh import as_tensor
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder, bounded
+from sdm.deepsdf.networks.decoders import Decoder
 from sdm.deepsdf.samples import UnitSphere
 from sdm.deepsdf.train import checkpoint
 from sdm.deepsdf.train.settings import Settings
@@ -23,6 +25,21 @@ from sdm.training.checkpoints import fitting_states
 
 # Points that are decoded at a time where no gradient is requested.
 CHUNK = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Signed distances with derivatives, in unit-sphere radii.
+
+    Args:
+        values: (N,).
+        by_point: (N,3).
+        by_seen: (N,E) by each part of what the point sees of the code (`seen` of the decoders).
+    """
+
+    values: Tensor
+    by_point: Tensor
+    by_seen: tuple[Tensor, ...]
 
 
 class DeepSDF:
@@ -42,7 +59,7 @@ class DeepSDF:
     def __init__(
         self,
         settings: Settings,
-        decoder: torch.nn.Module,
+        decoder: Decoder,
         codes: Tensor,
         names: Sequence[str],
         spheres: Sequence[UnitSphere],
@@ -117,6 +134,17 @@ class DeepSDF:
             (slope,) = torch.autograd.grad(values.sum(), at)
         return normalize(slope, dim=-1, eps=1e-20)
 
+    def slopes(self, points: Tensor, code: Tensor) -> Slopes:
+        """Signed distances of points (N,3) of the unit sphere with their derivatives; values as `signed_distance`."""
+        with torch.enable_grad():
+            at = points.detach()[None].requires_grad_()
+            inside, away = _parts(at)
+            seen = self.decoder.seen(self.check_codes(code), inside)
+            more = [at.new_zeros(1, at.shape[1], part.shape[2], requires_grad=True) for part in seen]
+            values = self.decoder.decode(tuple(s + m for s, m in zip(seen, more, strict=True)), inside) + away
+            by_point, *by_seen = torch.autograd.grad(values.sum(), [at, *more])
+        return Slopes(values[0].detach(), by_point[0], tuple(part[0] for part in by_seen))
+
     def signed_distance_map(self, grid: GridLike, code: Any, sphere: UnitSphere | None = None) -> Any:
         """The learned map of a whole grid, an `SDM`; see `signed_distance`."""
         from sdm.core.signed_distance_map import SDM
@@ -153,9 +181,15 @@ class DeepSDF:
         return bounded(z, self.settings.code_bound)
 
     def _extended(self, codes: Tensor, points: Tensor) -> Tensor:
-        inside = points.clamp(-1, 1)
-        beyond = points - inside
-        # The gradient of a norm at zero is not a number.
-        out = beyond.abs().amax(-1) > 0
-        away = torch.where(out[..., None], beyond, 1.0).norm(dim=-1)
-        return self.decoder(codes, inside) + torch.where(out, away, 0.0)
+        inside, away = _parts(points)
+        return self.decoder(codes, inside) + away
+
+
+def _parts(points: Tensor) -> tuple[Tensor, Tensor]:
+    """The box's nearest points (...,3), and how far away from them (...) points are."""
+    inside = points.clamp(-1, 1)
+    beyond = points - inside
+    # The gradient of a norm at zero is not a number.
+    out = beyond.abs().amax(-1) > 0
+    away = torch.where(out[..., None], beyond, 1.0).norm(dim=-1)
+    return inside, torch.where(out, away, 0.0)

@@ -21,6 +21,8 @@ from sdm.fit.model.pose import State
 
 # Further from the surface than this many reference lengths, the logistic is 0 or 1 to 4e-4.
 REACH = 8.0
+# Slack, as a share of the reach, from which on it brings in many points that are not near.
+SLACK = 0.25
 # Edges, in sample points, of the boxes with which the search for the surface's band goes on to points.
 LEVELS = (8, 4, 2, 1)
 # Variance of the logistic distribution with scale 1.
@@ -131,6 +133,11 @@ class Renderer:
             near = (near[:, None] * times + within).reshape(-1, 3)
             for axis in range(3):
                 inside = inside.repeat_interleave(times, dim=axis)
+        if self.backend.slack > SLACK * reach:
+            # Of learned distances those of the points themselves say which are near, for less than derivatives cost.
+            distance = self.backend.distances(theta, state.to_shape(self.points_of(near)))
+            inside[tuple(near.T)] = distance < 0
+            near = near[distance.abs() < reach]
         return near, inside
 
     def _looked_up(self, state: State, near: Tensor, inside: Tensor, derivatives: bool) -> Samples:

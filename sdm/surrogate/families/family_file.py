@@ -104,6 +104,10 @@ def load_family_surrogate(folder: Path) -> tuple[LowRankSurrogate, Grid, dict[st
     from safetensors import SafetensorError
     from safetensors.torch import load
 
+    if folder.name in (WEIGHTS, RECORD) and folder.is_file():
+        raise FormatError(f"{folder} is a file of a surrogate: give the folder that it is in, {folder.parent}")
+    if folder.is_file():
+        raise FormatError(f"{folder} is a file: give the folder that sdm train sdmnn --family wrote")
     try:
         record = json.loads((folder / RECORD).read_text())
         packed = load((folder / WEIGHTS).read_bytes())

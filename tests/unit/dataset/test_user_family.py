@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
-from sdm.dataset import damaged, generate, verify
+from sdm.dataset import SDMDataset, damaged, generate, verify
 from sdm.dataset.manifest import read_manifest
-from sdm.errors import FormatError
+from sdm.errors import FormatError, SDMError
 from sdm.shapes import Cochlea, load_family
+from sdm.shapes.named_family import family_record
 from sdm.shapes.solids import Ellipsoid
+from sdm.stream import SDMStream
 
 SWELLS = """
 from sdm.shapes.solids import Ellipsoid
@@ -54,3 +57,52 @@ def test_a_dataset_does_not_go_on_with_another_formula(tmp_path):
 def test_families_of_the_package_go_by_its_version(tmp_path):
     assert read_manifest(made(Cochlea(600), tmp_path / "a.zarr"))["source"] is None
     assert read_manifest(made(Ellipsoid(), tmp_path / "b.zarr"))["source"] is None
+
+
+def test_the_stream_of_a_record_is_the_one_it_was_made_from(tmp_path):
+    family = Cochlea(600)
+    (tmp_path / "shapes").mkdir()
+    egg(tmp_path, 1.0)
+    file = f"{tmp_path / 'egg.py'}:Egg"
+    for number, (source, named, own) in enumerate(
+        (
+            ({"family": "cochlea", "triangles": 600}, None, family),
+            ({"file": file, "reference": family_record(load_family(file))}, file, load_family(file)),
+        )
+    ):
+        path = tmp_path / f"{number}.zarr"
+        recipe = {"seed": 5, "sampler": "chebyshev", "dtype": torch.float16, "truncate": 1.0}
+        generate(own, own.grid(8), 6, path, shard=3, device="cpu", source=source, **recipe)
+        data = SDMDataset(path)
+        stream = data.stream(named, 4, device="cpu")
+        assert stream.maker.recipe == data.manifest["recipe"]
+        first, second = next(it := iter(stream)), next(it)
+        assert torch.equal(first.sdm, torch.stack([data[i].sdm for i in range(4)]))
+        assert torch.equal(second.theta[:2], data.theta[4:])
+        assert torch.equal(next(iter(data.stream(named, 2, device="cpu", start=4))).sdm, second.sdm[:2])
+        original = SDMStream(own, own.grid(8), 4, device="cpu", **recipe)
+        assert original.state_dict()["recipe"] == stream.state_dict()["recipe"]
+        assert all(torch.equal(a, b) for a, b in zip(next(iter(original)), first, strict=True))
+
+
+def test_no_stream_of_a_record_by_another_family_or_by_code_that_nobody_named(tmp_path):
+    egg(tmp_path, 1.0)
+    file = f"{tmp_path / 'egg.py'}:Egg"
+    own = load_family(file)
+    source = {"file": file, "reference": family_record(own)}
+    path = generate(own, own.grid(8), 4, tmp_path / "a.zarr", shard=2, device="cpu", source=source)
+    # The record names it; that runs nothing.
+    (tmp_path / "egg.py").write_text("raise RuntimeError('run')")
+    data = SDMDataset(path)
+    with pytest.raises(SDMError, match="is code, .*egg.py:Egg, which is run only where you name it: give it"):
+        data.stream(device="cpu")
+    with pytest.raises(SDMError, match="egg is not the family that the dataset was made from: other vertices"):
+        data.stream(egg(tmp_path, 1.01), device="cpu")
+    with pytest.raises(SDMError, match="seed is as in the record of .*: leave it out"):
+        data.stream(own, device="cpu", seed=3)
+    unsaid = SDMDataset(made(Cochlea(600), tmp_path / "b.zarr"))
+    with pytest.raises(SDMError, match="record does not say what 'cochlea' is: give the family"):
+        unsaid.stream(device="cpu")
+    with pytest.raises(SDMError, match="cochlea is not the family .*: other faces or constants"):
+        unsaid.stream("cochlea", device="cpu")
+    assert torch.equal(next(iter(unsaid.stream(Cochlea(600), 4, device="cpu"))).theta, unsaid.theta)

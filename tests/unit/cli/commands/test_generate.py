@@ -212,3 +212,23 @@ def test_progress_in_a_log(monkeypatch, capsys):
         "sdm: 500 of 10,100 maps, 10 a second, 0:16:00 left",
         "sdm: 1,100 of 10,100 maps, 10 a second, 0:15:00 left",
     ]
+
+
+def test_the_family_by_its_option(tmp_path, capsys, folder):
+    ends = []
+    for number, words in enumerate((["cochlea"], ["--family", "cochlea"])):
+        out = tmp_path / f"{number}.zarr"
+        assert run(*words, "--triangles", 600, *SMALL, "-o", out) == 0
+        ends.append(SDMDataset(out))
+    assert torch.equal(ends[0][3].sdm, ends[1][3].sdm)
+    assert ends[0].manifest == ends[1].manifest
+    capsys.readouterr()
+    for words, said in (
+        (["cochlea", "--family", "cuboid"], "cochlea and --family cuboid both say what to generate: give one of them"),
+        (["--family", folder], f"--family takes a family; give the folder of meshes in the first place: {folder}"),
+        (["--family", "snail"], "snail is neither a family"),
+    ):
+        assert run(*words, *SMALL, "-o", tmp_path / "none.zarr") == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+        assert not (tmp_path / "none.zarr").exists()

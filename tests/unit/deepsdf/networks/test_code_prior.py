@@ -7,7 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from sdm.deepsdf import DeepSDF, local, published
-from sdm.deepsdf.networks.code_prior import REST, CodePrior
+from sdm.deepsdf.networks.code_gaussian import REST
+from sdm.deepsdf.networks.code_prior import CodePrior
 
 
 def model(codes: Tensor, **changes: object) -> DeepSDF:

@@ -1,0 +1,160 @@
+"""Gauss-Newton steps on a whole code with size and pose, matrix-free: codes have thousands of numbers.
+
+The unknowns are standard ones: the code in coordinates in which those of the training shapes are a standard Gaussian
+(`CodeGaussian`), and the increments of log size, rotation and translation in standard deviations of their priors. A
+distance depends on a code by what its point sees of it, which is linear in the code (`seen` of the decoders), so one
+pass back through the network gives all derivatives, and products with them are those of a sparse matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from sdm.deepsdf.infer.fit_backend import POINTS, DeepSDFBackend, directions
+from sdm.deepsdf.networks.code_gaussian import REST, CodeGaussian
+from sdm.fit.model.pose import State, vector_from_rotation
+from sdm.runtime.threads import threads
+
+# Steps of conjugate gradients for a step, and the share of the residual at which they end.
+SOLVES, ACCURACY = 40, 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class WholeCode:
+    """A whole code with its size and pose.
+
+    Args:
+        standard: (D,) float64 the code in the coordinates of `CodeGaussian`.
+        state: Its pose, with theta (1,) the size.
+    """
+
+    standard: Tensor
+    state: State
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Distances (N,) of points, and what the products with their derivatives need.
+
+    Args:
+        values: (N,) float64.
+        points: (N,3) float32 in the unit sphere's box.
+        by_seen: (N,E) by each part of what the points see of the code.
+        similar: (N,7) by log size, rotation and translation.
+    """
+
+    values: Tensor
+    points: Tensor
+    by_seen: tuple[Tensor, ...]
+    similar: Tensor
+
+
+class CodeUnknowns:
+    """The unknowns of a fit of a whole code, their prior, and how distances depend on them.
+
+    Args:
+        backend: The network.
+        start: Where fits begin and what their pose and size are believed to be near: theta is the size and components.
+        deviations: (7,) of log size, rotation [rad] and translation about the start.
+    """
+
+    def __init__(self, backend: DeepSDFBackend, start: State, deviations: Tensor) -> None:
+        self.backend, model = backend, backend.model
+        # Many shapes leave little open of codes of few numbers.
+        share = REST * min(1.0, model.code_size / len(model.codes))
+        self.gaussian = CodeGaussian(model.codes, model.settings.code_deviation**2, share)
+        self.deviations = deviations.to(model.device, torch.float64)
+        away = backend.code(start.theta) - self.gaussian.mean
+        self.start = WholeCode(self.gaussian.standard(away).double(), replace(start, theta=start.theta[:1]))
+
+    def code(self, at: WholeCode) -> Tensor:
+        """The code (D,) float32."""
+        return self.gaussian.mean + self.gaussian.spread(at.standard.float())
+
+    def radius(self, at: WholeCode) -> float:
+        """Radius of the sphere around the shape."""
+        return self.backend.factor * float(at.state.theta[0])
+
+    def moved(self, at: WholeCode, step: Tensor) -> WholeCode:
+        """After an increment (D+7,) of the unknowns."""
+        similar = step[-7:] * self.deviations
+        state = at.state.moved(torch.cat([at.state.theta * similar[:1].expm1(), similar[1:]]))
+        return WholeCode(at.standard + step[:-7], state)
+
+    def away(self, at: WholeCode) -> Tensor:
+        """(D+7,) the unknowns; half their squared length is the prior's penalty."""
+        start = self.start.state
+        size = (at.state.theta / start.theta).log()
+        turn = vector_from_rotation(start.rotation.T @ at.state.rotation)
+        similar = torch.cat([size, turn, at.state.translation - start.translation]) / self.deviations
+        return torch.cat([at.standard, similar])
+
+    def distances(self, at: WholeCode, inside: Tensor) -> Tensor:
+        """Signed distances (N,) float64 of points (N,3) of the shape's own frame."""
+        radius = self.radius(at)
+        with torch.no_grad(), threads(self.backend.threads):
+            return radius * self.backend.model.signed_distance((inside / radius).float(), self.code(at)).double()
+
+    def slopes(self, at: WholeCode, points: Tensor) -> Slopes:
+        """Of points (N,3) in the world."""
+        inside, radius, code = at.state.to_shape(points), self.radius(at), self.code(at)
+        unit = inside / radius
+        with threads(self.backend.threads):
+            parts = [self.backend.model.slopes(part, code) for part in unit.float().split(POINTS)]
+        values = radius * torch.cat([part.values for part in parts]).double()
+        by_point = torch.cat([part.by_point for part in parts]).double()
+        by_seen = tuple(radius * torch.cat(each) for each in zip(*(part.by_seen for part in parts), strict=True))
+        # d(r f(x / r)) / d log r = r f - x . grad f.
+        by_size = values - (inside * by_point).sum(1)
+        similar = at.state.chain(inside, by_size[:, None], by_point) * self.deviations
+        return Slopes(values, unit.float().clamp(-1, 1), by_seen, similar)
+
+    def forward(self, slopes: Slopes, at: WholeCode, step: Tensor) -> Tensor:
+        """Changes (N,) float64 of the distances with a step (D+7,)."""
+        along = self.gaussian.spread(step[:-7].float())[None]
+        with torch.no_grad(), threads(self.backend.threads):
+            along = directions(along, self.code(at), self.backend.model.settings.code_bound)
+            seen = self.backend.model.decoder.seen(along, slopes.points[None])
+            by_code = sum((by * part[0]).sum(1) for by, part in zip(slopes.by_seen, seen, strict=True))
+        return by_code + slopes.similar @ step[-7:]
+
+    def backward(self, slopes: Slopes, at: WholeCode, pull: Tensor) -> Tensor:
+        """The transpose of `forward`: (N,) to (D+7,)."""
+        bound = self.backend.model.settings.code_bound
+        with threads(self.backend.threads):
+            zero = torch.zeros(1, len(at.standard), device=pull.device, requires_grad=True)
+            with torch.enable_grad():
+                seen = self.backend.model.decoder.seen(zero, slopes.points[None])
+                whole = [part.expand(1, len(pull), -1) for part in seen]
+            weights = [(by * pull.float()[:, None])[None] for by in slopes.by_seen]
+            (by_code,) = torch.autograd.grad(whole, zero, weights)
+            # The projection onto the bounded codes' sphere is symmetric.
+            by_code = self.gaussian.spread(directions(by_code, self.code(at), bound)[0])
+        return torch.cat([by_code.double(), slopes.similar.T @ pull])
+
+
+def conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor) -> Tensor:
+    """The solution of a symmetric positive system, nearly."""
+    x, r = torch.zeros_like(right), right
+    p, rr = r, (r * r).sum()
+    enough = ACCURACY**2 * rr
+    for _ in range(SOLVES):
+        image = product(p)
+        step = rr / (p * image).sum().clamp_min(1e-300)
+        x, r = x + step * p, r - step * image
+        new = (r * r).sum()
+        if float(new) < float(enough):
+            break
+        p, rr = r + new / rr.clamp_min(1e-300) * p, new
+    return x
+
+
+def prior_deviations(backend: DeepSDFBackend, turn: float, shift: float) -> Tensor:
+    """(7,) of log size, as of the training shapes, of rotation [rad] and of translation."""
+    radii = torch.tensor([sphere.radius for sphere in backend.model.spheres], dtype=torch.float64)
+    size = max(float(radii.log().std()) if len(radii) > 1 else 0.0, 0.02)
+    return torch.tensor([size, *[turn] * 3, *[shift] * 3], dtype=torch.float64)

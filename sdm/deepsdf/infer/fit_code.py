@@ -1,0 +1,220 @@
+"""Fit of a DeepSDF's whole code, size and pose to an image, from a fit of its components on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.core.as_grid import GridLike, as_grid
+from sdm.core.mesh import TriangleMesh
+from sdm.deepsdf.infer.code_steps import CodeUnknowns, Slopes, WholeCode, conjugate_gradients, prior_deviations
+from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
+from sdm.deepsdf.infer.isosurface import decode_mesh
+from sdm.deepsdf.samples import UnitSphere
+from sdm.fit.model.backend import Distances
+from sdm.fit.model.partial_volume import Renderer
+from sdm.fit.model.pose import State
+from sdm.fit.solve.fit_shape import FitOptions, image_tensor, renderer_of
+
+# Where the start explains less than this of its neighbourhood, first lengths of the logistic [voxels] under which a
+# surface is felt that lies some voxels off; steps at each, and at the last.
+FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 3, 30
+# The last steps end where the objective falls by less than this [nats].
+ENOUGH = 0.5
+# A step that does not go down is halved so often.
+HALVED = 3
+# Voxels with less of the other side than this tell the noise.
+PURE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class CodeFit:
+    """A whole code in an image.
+
+    Args:
+        code: (D,) float32.
+        state: Pose, with theta (1,) the size.
+        share: (nx,ny,nz) expected share of inside of each voxel.
+        noise: Standard deviation of the noise, in intensities.
+        inside: Intensity inside.
+        outside: Intensity outside.
+        converged: The last step changed the objective by little.
+        steps: That were taken.
+    """
+
+    code: Tensor
+    state: State
+    share: Tensor
+    noise: float
+    inside: float
+    outside: float
+    converged: bool
+    steps: int
+
+    def record(self) -> dict[str, Any]:
+        """What JSON keeps of it."""
+        rotation, translation = self.state.rotation.tolist(), self.state.translation.tolist()
+        return {
+            "numbers": len(self.code),
+            "size": float(self.state.theta[0]),
+            "rotation": rotation,
+            "translation": translation,
+            "noise": self.noise,
+            "inside": self.inside,
+            "outside": self.outside,
+            "converged": self.converged,
+            "steps": self.steps,
+        }
+
+    def mesh(self, backend: DeepSDFBackend, resolution: int = 192) -> TriangleMesh:
+        """The surface in the image's frame."""
+        return surface_of_code(backend, self.code, self.state, resolution)
+
+
+def surface_of_code(backend: DeepSDFBackend, code: Tensor, state: State, resolution: int = 192) -> TriangleMesh:
+    """The surface of a code in a pose, theta (1,) its size, by marching cubes."""
+    sphere = UnitSphere((0.0, 0.0, 0.0), backend.factor * float(state.theta[0]))
+    own = decode_mesh(backend.model, code, sphere=sphere, resolution=resolution)
+    vertices = state.to_world(own.vertices.to(state.translation)).float()
+    return TriangleMesh(vertices.cpu(), own.faces.cpu(), "fit", check=False)
+
+
+def fit_code(
+    image: Tensor,
+    grid: GridLike,
+    backend: DeepSDFBackend,
+    start: State,
+    *,
+    options: FitOptions,
+    explained: float = 0.0,
+    report: Callable[[str, int], None] | None = None,
+) -> CodeFit:
+    """Fit all numbers of a code, and size and pose again, to an image.
+
+    Args:
+        image: (nx,ny,nz) intensities: one inside and one outside, mixed in the voxels that the surface cuts, and noise.
+        grid: Where its voxels are.
+        backend: The network.
+        start: A state of the backend, as a fit of its components leaves it.
+        options: Of that fit: blur and sample points; turn and shift are how far size and pose may be from the start.
+        explained: Share of its neighbourhood that the start explains.
+        report: Called with the stage and the number of each step.
+
+    The maximum of the posterior density under the Gaussian of the training's codes.
+    """
+    grid = as_grid(grid)
+    values = image_tensor(image, grid, backend.device)
+    unknowns = CodeUnknowns(backend, start, prior_deviations(backend, options.turn, options.shift))
+    at, found, steps, converged = unknowns.start, None, 0, False
+    last = renderer_of(grid, _Frozen(unknowns, at), options)
+    wide = [length * min(grid.spacing) for length in LENGTHS] if explained < FAR else []
+    for length in [*(x for x in wide if x > last.length), last.length]:
+        final = length == last.length
+        renderer = last if final else renderer_of(grid, last.backend, replace(options, length=length))
+        looks = _Image(values, renderer, unknowns)
+        found = looks(at)
+        for _ in range(LAST if final else STEPS):
+            following = looks.step(at, found)
+            if report is not None:
+                report("code", steps)
+            if following is None:
+                converged = final
+                break
+            fell = looks.objective(at, found, found.noise) - looks.objective(*following, found.noise)
+            at, found, steps = *following, steps + 1
+            if final and fell < ENOUGH:
+                converged = True
+                break
+    assert found is not None  # noqa: S101 - there is a last length
+    return CodeFit(unknowns.code(at), at.state, found.voxels, found.noise, found.high, found.low, converged, steps)
+
+
+class _Frozen:
+    """A whole code as a backend without parameters, for a renderer's search for the surface."""
+
+    name, parameters, evaluations = "code", (), 0
+
+    def __init__(self, unknowns: CodeUnknowns, at: WholeCode) -> None:
+        self.unknowns, self.at = unknowns, at
+        self.device, self.centre, self.slack = unknowns.backend.device, at.state.centre, unknowns.backend.slack
+
+    def distances(self, theta: Tensor, points: Tensor) -> Tensor:
+        """Signed distances (N,) of points (N,3) of the shape's own frame."""
+        return self.unknowns.distances(self.at, points)
+
+    def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
+        """There are no parameters to differentiate by."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class _Rendered:
+    """An image of a code: expected shares, what is left, and derivatives."""
+
+    slopes: Slopes
+    place: tuple[Tensor, ...]
+    felt: Tensor
+    voxels: Tensor
+    residual: Tensor
+    noise: float
+    low: float
+    high: float
+
+
+class _Image:
+    """An image under one length of the logistic."""
+
+    def __init__(self, values: Tensor, renderer: Renderer, unknowns: CodeUnknowns) -> None:
+        self.values, self.renderer, self.unknowns = values, renderer, unknowns
+
+    def __call__(self, at: WholeCode) -> _Rendered:
+        """The expected image of a code."""
+        renderer, backend = self.renderer, self.renderer.backend
+        backend.at = at  # type: ignore[attr-defined]
+        near, inside = renderer.near_surface(at.state)
+        slopes = self.unknowns.slopes(at, renderer.points_of(near))
+        share, place = inside.double(), tuple(near.T)
+        share[place] = p = torch.sigmoid(-slopes.values / renderer.length)
+        voxels = renderer.blurred(share)
+        design = torch.stack([1 - voxels.flatten(), voxels.flatten()], 1)
+        low, high = torch.linalg.solve(design.T @ design, design.T @ self.values.flatten()).tolist()
+        residual = self.values - (low + (high - low) * voxels)
+        pure = (voxels < PURE) | (voxels > 1 - PURE)
+        noise = float(residual[pure].std()) if int(pure.sum()) > 100 else float(residual.std())
+        noise = max(noise, 1e-3 * abs(high - low))
+        felt = -(high - low) * p * (1 - p) / renderer.length
+        return _Rendered(slopes, place, felt, voxels, residual, noise, low, high)
+
+    def objective(self, at: WholeCode, found: _Rendered, noise: float) -> float:
+        """Minus the log posterior density, but for a constant, under a given noise."""
+        return 0.5 * float(found.residual.square().sum()) / noise**2 + 0.5 * float(
+            self.unknowns.away(at).square().sum()
+        )
+
+    def step(self, at: WholeCode, found: _Rendered) -> tuple[WholeCode, _Rendered] | None:
+        """The next code and its image; None where steps no longer go down."""
+        unknowns, renderer, weight = self.unknowns, self.renderer, 1 / found.noise**2
+        shape = tuple(renderer.count)
+
+        def forward(step: Tensor) -> Tensor:
+            dense = torch.zeros(shape, dtype=torch.float64, device=step.device)
+            dense[found.place] = found.felt * unknowns.forward(found.slopes, at, step)
+            return renderer.blurred(dense)
+
+        def backward(image: Tensor) -> Tensor:
+            return unknowns.backward(found.slopes, at, found.felt * renderer.spread(image)[found.place])
+
+        right = weight * backward(found.residual) - unknowns.away(at)
+        step = conjugate_gradients(lambda u: weight * backward(forward(u)) + u, right)
+        before = self.objective(at, found, found.noise)
+        for _ in range(HALVED):
+            moved = unknowns.moved(at, step)
+            there = self(moved)
+            if self.objective(moved, there, found.noise) < before:
+                return moved, there
+            step = step / 2
+        return None
