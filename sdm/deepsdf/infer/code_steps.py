@@ -13,14 +13,22 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from sdm.deepsdf.infer.fit_backend import POINTS, DeepSDFBackend, directions
-from sdm.deepsdf.networks.code_gaussian import REST, CodeGaussian
+from sdm.deepsdf.networks.code_gaussian import CodeGaussian
 from sdm.fit.model.pose import State, vector_from_rotation
 from sdm.runtime.threads import threads
 
 # Steps of conjugate gradients for a step, and the share of the residual at which they end.
-SOLVES, ACCURACY = 40, 0.03
+SOLVES, ACCURACY = 150, 1e-3
+# Variance of what the training's codes leave open, as a share of theirs: a shape that was left out is half outside.
+OPEN = 1.0
+# Deviations of log size and rotation about the start: a whole code has sizes and turns of its own, and would drift.
+HELD_SIZE, HELD_TURN = 0.02, 0.05
+# Deviation of the slope of the distance along its gradient, and the way over which it is measured, in radii. Codes
+# away from those of the training have slopes other than 1, and values near 0 that are no small distances.
+SLOPE, WAY = 0.1, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +53,14 @@ class Slopes:
         points: (N,3) float32 in the unit sphere's box.
         by_seen: (N,E) by each part of what the points see of the code.
         similar: (N,7) by log size, rotation and translation.
+        outward: (N,3) float64 unit gradients in the world.
     """
 
     values: Tensor
     points: Tensor
     by_seen: tuple[Tensor, ...]
     similar: Tensor
+    outward: Tensor
 
 
 class CodeUnknowns:
@@ -65,7 +75,7 @@ class CodeUnknowns:
     def __init__(self, backend: DeepSDFBackend, start: State, deviations: Tensor) -> None:
         self.backend, model = backend, backend.model
         # Many shapes leave little open of codes of few numbers.
-        share = REST * min(1.0, model.code_size / len(model.codes))
+        share = OPEN * min(1.0, model.code_size / len(model.codes))
         self.gaussian = CodeGaussian(model.codes, model.settings.code_deviation**2, share)
         self.deviations = deviations.to(model.device, torch.float64)
         away = backend.code(start.theta) - self.gaussian.mean
@@ -111,7 +121,13 @@ class CodeUnknowns:
         # d(r f(x / r)) / d log r = r f - x . grad f.
         by_size = values - (inside * by_point).sum(1)
         similar = at.state.chain(inside, by_size[:, None], by_point) * self.deviations
-        return Slopes(values, unit.float().clamp(-1, 1), by_seen, similar)
+        outward = normalize(by_point @ at.state.rotation.T, dim=1)
+        return Slopes(values, unit.float().clamp(-1, 1), by_seen, similar, outward)
+
+    def rows(self, slopes: Slopes, at: WholeCode) -> Tensor:
+        """Derivatives (N,D) float32 by the code itself: what `forward` multiplies, for few points."""
+        found = self.backend.model.decoder.rows(slopes.by_seen, slopes.points)
+        return directions(found, self.code(at), self.backend.model.settings.code_bound)
 
     def forward(self, slopes: Slopes, at: WholeCode, step: Tensor) -> Tensor:
         """Changes (N,) float64 of the distances with a step (D+7,)."""
@@ -153,8 +169,44 @@ def conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor) -> T
     return x
 
 
-def prior_deviations(backend: DeepSDFBackend, turn: float, shift: float) -> Tensor:
-    """(7,) of log size, as of the training shapes, of rotation [rad] and of translation."""
-    radii = torch.tensor([sphere.radius for sphere in backend.model.spheres], dtype=torch.float64)
-    size = max(float(radii.log().std()) if len(radii) > 1 else 0.0, 0.02)
-    return torch.tensor([size, *[turn] * 3, *[shift] * 3], dtype=torch.float64)
+class Evenness:
+    """The slopes of distances along their gradients at some points, which are 1 but for a deviation `SLOPE`.
+
+    Args:
+        unknowns: The unknowns.
+        at: Where.
+        points: (M,3) in the world, near the surface.
+        outward: (M,3) unit gradients there.
+    """
+
+    def __init__(self, unknowns: CodeUnknowns, at: WholeCode, points: Tensor, outward: Tensor) -> None:
+        self.unknowns, self.at, self.way = unknowns, at, WAY * unknowns.radius(at)
+        self.ends = tuple(unknowns.slopes(at, points + s * self.way * outward) for s in (1, -1))
+        self.residual = (self.ends[0].values - self.ends[1].values) / (2 * self.way) - 1
+
+    @property
+    def penalty(self) -> float:
+        """Minus the log density, but for a constant."""
+        return 0.5 * float(self.residual.square().sum()) / SLOPE**2
+
+    def rows(self) -> tuple[Tensor, Tensor]:
+        """Derivatives (M,D) float32 by the code and (M,7) by the others."""
+        one, other = (self.unknowns.rows(end, self.at) for end in self.ends)
+        return (one - other) / (2 * self.way), (self.ends[0].similar - self.ends[1].similar) / (2 * self.way)
+
+    def forward(self, step: Tensor) -> Tensor:
+        """Changes (M,) with a step (D+7,)."""
+        one, other = (self.unknowns.forward(end, self.at, step) for end in self.ends)
+        return (one - other) / (2 * self.way)
+
+    def backward(self, pull: Tensor) -> Tensor:
+        """The transpose of `forward`."""
+        one, other = (self.unknowns.backward(end, self.at, pull) for end in self.ends)
+        return (one - other) / (2 * self.way)
+
+
+def prior_deviations(backend: DeepSDFBackend) -> Tensor:
+    """(7,) of log size, rotation [rad] and translation, which the components' fit has found."""
+    radii = sorted(sphere.radius for sphere in backend.model.spheres)
+    shift = HELD_SIZE * backend.factor * radii[len(radii) // 2]
+    return torch.tensor([HELD_SIZE, *[HELD_TURN] * 3, *[shift] * 3], dtype=torch.float64)

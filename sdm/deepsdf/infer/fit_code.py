@@ -11,7 +11,15 @@ from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.mesh import TriangleMesh
-from sdm.deepsdf.infer.code_steps import CodeUnknowns, Slopes, WholeCode, conjugate_gradients, prior_deviations
+from sdm.deepsdf.infer.code_steps import (
+    SLOPE,
+    CodeUnknowns,
+    Evenness,
+    Slopes,
+    WholeCode,
+    conjugate_gradients,
+    prior_deviations,
+)
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.deepsdf.infer.isosurface import decode_mesh
 from sdm.deepsdf.samples import UnitSphere
@@ -29,6 +37,8 @@ ENOUGH = 0.5
 HALVED = 3
 # Voxels with less of the other side than this tell the noise.
 PURE = 0.01
+# Points at which the slope of the distances is looked at.
+EVEN = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +110,7 @@ def fit_code(
         grid: Where its voxels are.
         backend: The network.
         start: A state of the backend, as a fit of its components leaves it.
-        options: Of that fit: blur and sample points; turn and shift are how far size and pose may be from the start.
+        options: Of that fit: blur and sample points.
         explained: Share of its neighbourhood that the start explains.
         report: Called with the stage and the number of each step.
 
@@ -108,7 +118,7 @@ def fit_code(
     """
     grid = as_grid(grid)
     values = image_tensor(image, grid, backend.device)
-    unknowns = CodeUnknowns(backend, start, prior_deviations(backend, options.turn, options.shift))
+    unknowns = CodeUnknowns(backend, start, prior_deviations(backend))
     at, found, steps, converged = unknowns.start, None, 0, False
     last = renderer_of(grid, _Frozen(unknowns, at), options)
     wide = [length * min(grid.spacing) for length in LENGTHS] if explained < FAR else []
@@ -156,6 +166,7 @@ class _Rendered:
     """An image of a code: expected shares, what is left, and derivatives."""
 
     slopes: Slopes
+    even: Evenness
     place: tuple[Tensor, ...]
     felt: Tensor
     voxels: Tensor
@@ -176,7 +187,10 @@ class _Image:
         renderer, backend = self.renderer, self.renderer.backend
         backend.at = at  # type: ignore[attr-defined]
         near, inside = renderer.near_surface(at.state)
-        slopes = self.unknowns.slopes(at, renderer.points_of(near))
+        points = renderer.points_of(near)
+        slopes = self.unknowns.slopes(at, points)
+        some = torch.linspace(0, len(points) - 1, EVEN, device=points.device).long() if len(points) else near[:0, 0]
+        even = Evenness(self.unknowns, at, points[some], slopes.outward[some])
         share, place = inside.double(), tuple(near.T)
         share[place] = p = torch.sigmoid(-slopes.values / renderer.length)
         voxels = renderer.blurred(share)
@@ -187,13 +201,12 @@ class _Image:
         noise = float(residual[pure].std()) if int(pure.sum()) > 100 else float(residual.std())
         noise = max(noise, 1e-3 * abs(high - low))
         felt = -(high - low) * p * (1 - p) / renderer.length
-        return _Rendered(slopes, place, felt, voxels, residual, noise, low, high)
+        return _Rendered(slopes, even, place, felt, voxels, residual, noise, low, high)
 
     def objective(self, at: WholeCode, found: _Rendered, noise: float) -> float:
         """Minus the log posterior density, but for a constant, under a given noise."""
-        return 0.5 * float(found.residual.square().sum()) / noise**2 + 0.5 * float(
-            self.unknowns.away(at).square().sum()
-        )
+        away = 0.5 * float(self.unknowns.away(at).square().sum())
+        return 0.5 * float(found.residual.square().sum()) / noise**2 + found.even.penalty + away
 
     def step(self, at: WholeCode, found: _Rendered) -> tuple[WholeCode, _Rendered] | None:
         """The next code and its image; None where steps no longer go down."""
@@ -208,8 +221,12 @@ class _Image:
         def backward(image: Tensor) -> Tensor:
             return unknowns.backward(found.slopes, at, found.felt * renderer.spread(image)[found.place])
 
-        right = weight * backward(found.residual) - unknowns.away(at)
-        step = conjugate_gradients(lambda u: weight * backward(forward(u)) + u, right)
+        def normal(step: Tensor) -> Tensor:
+            return weight * backward(forward(step)) + even.backward(even.forward(step)) / SLOPE**2 + step
+
+        even = found.even
+        right = weight * backward(found.residual) - even.backward(even.residual) / SLOPE**2 - unknowns.away(at)
+        step = conjugate_gradients(normal, right)
         before = self.objective(at, found, found.noise)
         for _ in range(HALVED):
             moved = unknowns.moved(at, step)

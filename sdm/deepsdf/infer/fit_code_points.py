@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from torch import Tensor
 
-from sdm.core.random import generator
-from sdm.deepsdf.infer.code_steps import CodeUnknowns, Slopes, WholeCode, conjugate_gradients, prior_deviations
+from sdm.deepsdf.infer.code_steps import SLOPE, CodeUnknowns, Evenness, Slopes, WholeCode, prior_deviations
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.fit.model.pose import State
 from sdm.fit.solve.fit_points import OUTLIER
 
-STEPS, HALVED = 15, 3
-# Steps end where the objective falls by less than this [nats].
-ENOUGH = 0.1
-# Draws by which the numbers that points determine are counted, and the share of all points that they are at most.
-DRAWS, MOST = 2, 0.9
+STEPS, HALVED = 12, 3
+# Steps end where the noise changes by less than this share.
+SETTLED = 0.01
+# The share of the points that a code determines at most.
+MOST = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +26,11 @@ class CodePointFit:
     Args:
         code: (D,) float32.
         state: Pose, with theta (1,) the size.
-        noise: Standard deviation of the points' distances from the shape, less what the code took of them.
+        noise: Standard deviation of the points' distances from the shape, with what the code took of them.
         mean_distance: Mean absolute distance of the points from the shape.
-        determined: Numbers of the code and the pose that the points determine, and not the prior.
+        determined: Numbers that the points determine, and not the prior.
+        converged: The noise has settled.
+        steps: That were taken.
     """
 
     code: Tensor
@@ -38,82 +38,83 @@ class CodePointFit:
     noise: float
     mean_distance: float
     determined: float
+    converged: bool
+    steps: int
 
 
-def fit_code_points(
-    points: Tensor,
-    backend: DeepSDFBackend,
-    start: State,
-    *,
-    noise: float,
-    turn: float = 0.5,
-    shift: float | None = None,
-) -> CodePointFit:
-    """Fit all numbers of a code, and size and pose again, to points (N,3) float64 of the surface.
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Points under a code."""
+
+    slopes: Slopes
+    even: Evenness
+
+    def objective(self, unknowns: CodeUnknowns, at: WholeCode, noise: float) -> float:
+        away = self.slopes.values.abs() / noise
+        huber = torch.where(away < OUTLIER, away**2 / 2, OUTLIER * away - OUTLIER**2 / 2)
+        return float(huber.sum()) + self.even.penalty + 0.5 * float(unknowns.away(at).square().sum())
+
+
+def fit_code_points(points: Tensor, backend: DeepSDFBackend, start: State, *, noise: float) -> CodePointFit:
+    """Fit all numbers of a code, and size and pose again, to points (N,3) float64 of the surface, a few thousand.
 
     Args:
         points: In the unit of the training's meshes times the backend's factor, on its device.
         backend: The network.
         start: A state of the backend, as a fit of its components leaves it.
         noise: Standard deviation of the points about that.
-        turn: Standard deviation of the rotation about the start [rad].
-        shift: Of the translation; by default a tenth of the size.
 
-    The maximum of the posterior density under the Gaussian of the training's codes. A code has more numbers than there
-    are points, and would take their noise for shape, the more the less noise there is thought to be: the noise is
-    estimated as in restricted maximum likelihood, from residuals over the points less the numbers that they determine.
+    The maximum of the posterior density under the Gaussian of the training's codes. There are fewer points than numbers
+    of a code, so steps are solved for in the points' own space: (J C J' + W^-1) y = r by Cholesky's factors, and the
+    step is C J' y. A code would take the points' noise for shape, the more the less noise there is thought to be: the
+    noise is estimated as in restricted maximum likelihood, from residuals over the points less the numbers that they
+    determine, which is the trace of J C J' (J C J' + W^-1)^-1.
     """
-    shift = backend.factor * float(start.theta[0]) / 10 if shift is None else shift
-    unknowns = CodeUnknowns(backend, start, prior_deviations(backend, turn, shift))
+    unknowns = CodeUnknowns(backend, start, prior_deviations(backend))
     floor = 1e-4 * unknowns.radius(unknowns.start)
-    at, noise, determined = unknowns.start, max(noise, floor), 0.0
-    slopes = unknowns.slopes(at, points)
-    for number in range(STEPS):
-        pull = _pull(slopes.values, noise)
-        normal = partial(_normal, unknowns, at, slopes, pull)
-        step = conjugate_gradients(normal, -unknowns.backward(slopes, at, pull * slopes.values) - unknowns.away(at))
-        before, fell = _objective(unknowns, at, slopes.values, noise), 0.0
+    at, noise, determined, converged, steps = unknowns.start, max(noise, floor), 0.0, False, 0
+    seen = _look(unknowns, at, points)
+    while steps < STEPS and not converged:
+        steps += 1
+        step, determined = _step(unknowns, at, seen, noise)
+        before = seen.objective(unknowns, at, noise)
         for _ in range(HALVED):
             moved = unknowns.moved(at, step)
-            there = unknowns.slopes(moved, points)
-            fell = before - _objective(unknowns, moved, there.values, noise)
-            if fell > 0:
-                at, slopes = moved, there
+            there = _look(unknowns, moved, points)
+            if there.objective(unknowns, moved, noise) < before:
+                at, seen = moved, there
                 break
             step = step / 2
-        determined = _determined(unknowns, at, slopes, noise, number)
-        last = noise
         left = 1 - min(determined / len(points), MOST)
-        noise = max(1.4826 * float(slopes.values.abs().median()) / left**0.5, floor)
-        if fell < ENOUGH and abs(noise / last - 1) < 0.02:
-            break
-    return CodePointFit(unknowns.code(at), at.state, noise, float(slopes.values.abs().mean()), determined)
+        last, noise = noise, max(1.4826 * float(seen.slopes.values.abs().median()) / left**0.5, floor)
+        converged = abs(noise / last - 1) < SETTLED
+    mean = float(seen.slopes.values.abs().mean())
+    return CodePointFit(unknowns.code(at), at.state, noise, mean, determined, converged, steps)
 
 
-def _normal(unknowns: CodeUnknowns, at: WholeCode, slopes: Slopes, pull: Tensor, step: Tensor) -> Tensor:
-    """The objective's curvature (Gauss-Newton's) times a step."""
-    return unknowns.backward(slopes, at, pull * unknowns.forward(slopes, at, step)) + step
+def _look(unknowns: CodeUnknowns, at: WholeCode, points: Tensor) -> _Seen:
+    """The slope is looked at at every second point."""
+    slopes = unknowns.slopes(at, points)
+    return _Seen(slopes, Evenness(unknowns, at, points[::2], slopes.outward[::2]))
 
 
-def _pull(distances: Tensor, noise: float) -> Tensor:
-    """Weights (N,) of points: outliers pull no more strongly than others (Huber 1964)."""
-    return (OUTLIER * noise / distances.abs().clamp_min(1e-30)).clamp_max(1.0) / noise**2
-
-
-def _objective(unknowns: CodeUnknowns, at: WholeCode, distances: Tensor, noise: float) -> float:
-    away = distances.abs() / noise
-    huber = torch.where(away < OUTLIER, away**2 / 2, OUTLIER * away - OUTLIER**2 / 2)
-    return float(huber.sum()) + 0.5 * float(unknowns.away(at).square().sum())
-
-
-def _determined(unknowns: CodeUnknowns, at: WholeCode, slopes: Slopes, noise: float, number: int) -> float:
-    """Trace of the matrix that takes points' distances to those that the fit explains, by random signs."""
-    pull, total = _pull(slopes.values, noise), 0.0
-
-    normal = partial(_normal, unknowns, at, slopes, pull)
-    for draw in range(DRAWS):
-        signs = torch.randn(len(pull), generator=generator(number, "signs of points", draw), dtype=torch.float64)
-        signs = signs.sign().to(pull.device)
-        right = unknowns.backward(slopes, at, pull.sqrt() * signs)
-        total += float(right @ conjugate_gradients(normal, right))
-    return total / DRAWS
+def _step(unknowns: CodeUnknowns, at: WholeCode, seen: _Seen, noise: float) -> tuple[Tensor, float]:
+    """The Gauss-Newton step (D+7,), and how many numbers the points determine."""
+    gaussian, values, count = unknowns.gaussian, seen.slopes.values, len(seen.slopes.values)
+    own, others = seen.even.rows()
+    rows = torch.cat([unknowns.rows(seen.slopes, at), own])
+    similar = torch.cat([seen.slopes.similar, others])
+    along = rows @ gaussian.axes.T
+    kernel = (gaussian.rest * (rows @ rows.T) + (along * (gaussian.variances - gaussian.rest)) @ along.T).double()
+    kernel = kernel + similar @ similar.T
+    # Outliers pull no more strongly than others (Huber 1964).
+    weight = (OUTLIER * noise / values.abs().clamp_min(1e-30)).clamp_max(1.0) / noise**2
+    weight = torch.cat([weight, torch.full_like(seen.even.residual, 1 / SLOPE**2)])
+    factor = torch.linalg.cholesky(kernel + (1 / weight).diag())
+    away = unknowns.away(at)
+    taken = (rows @ gaussian.spread(away[:-7].float())).double() + similar @ away[-7:]
+    residual = taken - torch.cat([values, seen.even.residual])
+    pull = torch.cholesky_solve(residual[:, None], factor)[:, 0]
+    best = torch.cat([gaussian.spread(rows.T @ pull.float()).double(), similar.T @ pull])
+    left = torch.cholesky_inverse(factor).diagonal()[:count] / weight[:count]
+    return best - away, count - float(left.sum())

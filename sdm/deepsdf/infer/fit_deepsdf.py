@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
+from sdm.core.random import generator
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
 from sdm.deepsdf.infer.fit_code import CodeFit, fit_code
 from sdm.deepsdf.infer.fit_code_points import CodePointFit, fit_code_points
@@ -27,6 +28,8 @@ from sdm.fit.solve.solver import Outcome, Point
 COMPONENT_STEPS = 15
 # Steps of expectation-maximisation for the intensities of a whole code.
 EM_STEPS = 10
+# Points that are fitted at most: a step's work grows with their square.
+MOST_POINTS = 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +107,18 @@ def fit_deepsdf(
 
 
 def fit_deepsdf_points(points: Any, model: DeepSDF, *, turn: float = 0.5) -> DeepSDFPointFit:
-    """Fit size, code and pose of a DeepSDF to points (N,3) of a surface, as `fit_points` and then by its whole code."""
+    """Fit size, code and pose of a DeepSDF to points (N,3) of a surface: as `fit_points`, then by the whole code.
+
+    Of more points than a few thousand, which say as much as the network knows, those are taken, at random.
+    """
     backend = DeepSDFBackend(model)
-    found = fit_points(points, backend, turn=turn)
-    at = torch.as_tensor(points).to(model.device, torch.float64)
-    return DeepSDFPointFit(found, fit_code_points(at, backend, found.posterior.state, noise=found.noise, turn=turn))
+    given = torch.as_tensor(points)
+    if len(given) > MOST_POINTS:
+        order = torch.randperm(len(given), generator=generator(0, "points of a fit"))
+        given = given[order[:MOST_POINTS].to(given.device)]
+    found = fit_points(given, backend, turn=turn)
+    at = given.to(model.device, torch.float64)
+    return DeepSDFPointFit(found, fit_code_points(at, backend, found.posterior.state, noise=found.noise))
 
 
 def _judged(values: Tensor, grid: Grid, backend: DeepSDFBackend, result: FitResult, code: CodeFit) -> FitResult:

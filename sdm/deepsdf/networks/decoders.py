@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import cast
 
@@ -46,6 +47,10 @@ class PublishedDecoder(nn.Module):
     def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
         """What a point sees of codes (B,D): all of it, (B,1,D), the same at every point; linear in the codes."""
         return (codes[:, None],)
+
+    def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
+        """Derivatives (N,D) by a code of those (N,E) by what points (N,3) see of it."""
+        return by_seen[0]
 
     def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         """Signed distances (B,N) for what points (B,N,3) see of codes, each part (B,1,E) or (B,N,E)."""
@@ -99,6 +104,26 @@ class LocalDecoder(nn.Module):
         """
         whole = codes[:, None, : self.global_size]
         return (whole, self._local(codes, points)) if self.grids else (whole,)
+
+    def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
+        """Derivatives (N,D) by a code of those (N,E) by what points (N,3) of the box see of it."""
+        found = points.new_zeros(len(points), self.code_size)
+        found[:, : self.global_size] = by_seen[0]
+        first, column = self.global_size, 0
+        for resolution, channels in self.grids:
+            place = (points + 1) * ((resolution - 1) / 2)
+            node = place.floor().clamp(0, resolution - 2)
+            share = place - node
+            volume = found[:, first : first + channels * resolution**3].view(len(points), channels, resolution**3)
+            by = by_seen[1][:, column : column + channels]
+            for corner in itertools.product((0, 1), repeat=3):
+                up = torch.tensor(corner, device=points.device)
+                weight = torch.where(up == 1, share, 1 - share).prod(1)
+                x, y, z = (node + up).long().unbind(1)
+                at = ((z * resolution + y) * resolution + x)[:, None, None].expand(-1, channels, 1)
+                volume.scatter_add_(2, at, (by * weight[:, None])[:, :, None])
+            first, column = first + channels * resolution**3, column + channels
+        return found
 
     def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         """Signed distances (B,N) for what points (B,N,3) see of codes, each part (B,1,E) or (B,N,E)."""

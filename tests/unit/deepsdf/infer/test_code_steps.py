@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sdm.deepsdf import DeepSDF, local, published
-from sdm.deepsdf.infer.code_steps import CodeUnknowns, conjugate_gradients, prior_deviations
+from sdm.deepsdf.infer.code_steps import CodeUnknowns, Evenness, conjugate_gradients, prior_deviations
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
@@ -32,7 +32,7 @@ def unknowns_of(settings) -> CodeUnknowns:
     theta = torch.tensor([21.0, 0.5, -1.0, 0.2, 1.5], dtype=torch.float64)
     turn = rotation_from_vector(torch.tensor([0.2, -0.1, 0.3], dtype=torch.float64))
     start = State(theta, turn, torch.tensor([4.0, 5.0, 6.0], dtype=torch.float64), backend.centre)
-    return CodeUnknowns(backend, start, prior_deviations(backend, 0.5, 2.0))
+    return CodeUnknowns(backend, start, prior_deviations(backend))
 
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=["grids", "whole", "published"])
@@ -57,6 +57,15 @@ def test_products_are_those_of_differences(settings) -> None:
         pull = torch.randn(200, generator=random, dtype=torch.float64)
         one, other = unknowns.forward(slopes, at, step) @ pull, step @ unknowns.backward(slopes, at, pull)
         assert float(one) == pytest.approx(float(other), rel=1e-4, abs=1e-3)
+        even = Evenness(unknowns, at, points, slopes.outward)
+        one, other = even.forward(step) @ pull, step @ even.backward(pull)
+        assert float(one) == pytest.approx(float(other), rel=1e-4, abs=1e-3)
+        for product, (rows, similar) in (
+            (unknowns.forward(slopes, at, step), (unknowns.rows(slopes, at), slopes.similar)),
+            (even.forward(step), even.rows()),
+        ):
+            dense = (rows @ unknowns.gaussian.spread(step[:-7].float())).double() + similar @ step[-7:]
+            torch.testing.assert_close(product, dense, atol=1e-3, rtol=1e-3)
         moved = unknowns.moved(at, step)
         torch.testing.assert_close(unknowns.away(moved)[:-7] - unknowns.away(at)[:-7], step[:-7])
         torch.testing.assert_close(
