@@ -167,8 +167,7 @@ def _fitted(model: Any, mesh: TriangleMesh, image: Tensor, grid: Grid, options: 
 
 def _from_points(model: Any, mesh: TriangleMesh, number: int, device: Any) -> dict[str, Any]:
     """The modes and a pose by points of the surface with noise: a pure function of the number."""
-    noise = torch.randn(SCANNED, 3, generator=generator(number, "noise of points of an atrium"))
-    scan = surface_samples(mesh, SCANNED, 5, device)[0] + SCATTER * SPACING_MM * noise.to(device)
+    scan = scan_of(mesh, number, device)
     start = time.perf_counter()
     found = fit_points(scan, ExactBackend(model, device))
     end = time.perf_counter()
@@ -181,6 +180,12 @@ def _from_points(model: Any, mesh: TriangleMesh, number: int, device: Any) -> di
         "points_converged": found.converged,
         "points_s": round(end - start, 2),
     }
+
+
+def scan_of(mesh: TriangleMesh, number: int, device: Any) -> Tensor:
+    """Points (N,3) of a surface with noise: a pure function of the number."""
+    noise = torch.randn(SCANNED, 3, generator=generator(number, "noise of points of an atrium"))
+    return surface_samples(mesh, SCANNED, 5, device)[0] + SCATTER * SPACING_MM * noise.to(device)
 
 
 def _level_set(image: Tensor, grid: Grid, smoothing: float) -> TriangleMesh:

@@ -21,7 +21,7 @@ from sdm.fit.model.pose import State, vector_from_rotation
 from sdm.runtime.threads import threads
 
 # Steps of conjugate gradients for a step, and the share of the residual at which they end.
-SOLVES, ACCURACY = 150, 1e-3
+SOLVES, ACCURACY = 250, 1e-2
 # Variance of what the training's codes leave open, as a share of theirs: a shape that was left out is half outside.
 OPEN = 1.0
 # Deviations of log size and rotation about the start: a whole code has sizes and turns of its own, and would drift.

@@ -30,9 +30,10 @@ from sdm.fit.solve.fit_shape import FitOptions, image_tensor, renderer_of
 
 # Where the start explains less than this of its neighbourhood, first lengths of the logistic [voxels] under which a
 # surface is felt that lies some voxels off; steps at each, and at the last.
-FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 3, 30
-# The last steps end where the objective falls by less than this [nats].
-ENOUGH = 0.5
+FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 2, 10
+# The last steps end where the expected image changes by less than so many deviations of the noise, root mean square
+# over the voxels that the surface cuts; a search that ends with more than the second has not converged.
+CHANGED, UNSETTLED = 0.1, 0.35
 # A step that does not go down is halved so often.
 HALVED = 3
 # Voxels with less of the other side than this tell the noise.
@@ -134,10 +135,10 @@ def fit_code(
             if following is None:
                 converged = final
                 break
-            fell = looks.objective(at, found, found.noise) - looks.objective(*following, found.noise)
+            changed = looks.changed(found, following[1])
             at, found, steps = *following, steps + 1
-            if final and fell < ENOUGH:
-                converged = True
+            converged = final and changed < UNSETTLED
+            if final and changed < CHANGED:
                 break
     assert found is not None  # noqa: S101 - there is a last length
     return CodeFit(unknowns.code(at), at.state, found.voxels, found.noise, found.high, found.low, converged, steps)
@@ -202,6 +203,14 @@ class _Image:
         noise = max(noise, 1e-3 * abs(high - low))
         felt = -(high - low) * p * (1 - p) / renderer.length
         return _Rendered(slopes, even, place, felt, voxels, residual, noise, low, high)
+
+    def changed(self, found: _Rendered, following: _Rendered) -> float:
+        """Change of the expected image from one code to the next; see `CHANGED`."""
+        cut = (following.voxels > 0.05) & (following.voxels < 0.95)
+        if not bool(cut.any()):
+            return 0.0
+        by = (following.high - following.low) * (following.voxels - found.voxels)[cut]
+        return float(by.square().mean().sqrt()) / following.noise
 
     def objective(self, at: WholeCode, found: _Rendered, noise: float) -> float:
         """Minus the log posterior density, but for a constant, under a given noise."""

@@ -94,15 +94,15 @@ def test_no_stream_of_a_record_by_another_family_or_by_code_that_nobody_named(tm
     # The record names it; that runs nothing.
     (tmp_path / "egg.py").write_text("raise RuntimeError('run')")
     data = SDMDataset(path)
-    with pytest.raises(SDMError, match="is code, .*egg.py:Egg, which is run only where you name it: give it"):
+    with pytest.raises(SDMError, match=r"is code, .*egg.py:Egg, which is run only where you name it: give it"):
         data.stream(device="cpu")
     with pytest.raises(SDMError, match="egg is not the family that the dataset was made from: other vertices"):
         data.stream(egg(tmp_path, 1.01), device="cpu")
-    with pytest.raises(SDMError, match="seed is as in the record of .*: leave it out"):
+    with pytest.raises(SDMError, match=r"seed is as in the record of .*: leave it out"):
         data.stream(own, device="cpu", seed=3)
     unsaid = SDMDataset(made(Cochlea(600), tmp_path / "b.zarr"))
     with pytest.raises(SDMError, match="record does not say what 'cochlea' is: give the family"):
         unsaid.stream(device="cpu")
-    with pytest.raises(SDMError, match="cochlea is not the family .*: other faces or constants"):
+    with pytest.raises(SDMError, match=r"cochlea is not the family .*: other faces or constants"):
         unsaid.stream("cochlea", device="cpu")
     assert torch.equal(next(iter(unsaid.stream(Cochlea(600), 4, device="cpu"))).theta, unsaid.theta)
