@@ -1,12 +1,12 @@
-"""A left atrium that a DeepSDF never saw, by its codes: from an image, its label map blurred and made noisy, and points.
+"""A left atrium that a DeepSDF never saw, by its codes: from an image, and from points.
 
     python -m sdm.bench.deepsdf.fit_atria train --data ../shared/data --out runs/atria --budget-s 90
-    python -m sdm.bench.deepsdf.fit_atria fit --data ../shared/data --model runs/atria --out bench/results/fit-atria-deepsdf.json
+    python -m sdm.bench.deepsdf.fit_atria fit --data ../shared/data --model runs/atria
 
 `train` takes the other 72 atria without duplicates and without near twins of the validation set's 8 (the same atrium at
 another time). `fit` fits each of the 8 (`fit_deepsdf`): size, pose and a dozen components first, then all numbers of
-the code; image and points (2,000, half a voxel off in each direction) are those of `sdm.bench.shapes.atrium_fit`.
-Distances are means over both ways from the smooth surface of the atrium's label.
+the code; the image, its label map blurred and made noisy, and the points, 2,000, half a voxel off in each direction,
+are those of `sdm.bench.shapes.atrium_fit`. Distances are means over both ways from the smooth surface of the label.
 """
 
 from __future__ import annotations

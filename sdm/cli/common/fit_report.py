@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm.core.mesh import TriangleMesh
     from sdm.fit import FitResult
     from sdm.fit.model.backend import Backend
 
@@ -55,8 +56,13 @@ def save_residuals(scan: Any, result: FitResult, path: Path | None) -> None:
         sdm.save(sdm.SDM(left.float(), scan.grid), path)
 
 
-def save_free_form(scan: Any, backend: Backend, result: FitResult, blur: float, path: Path | None) -> None:
-    """Write the fitted surface with its free-form remainder, where a file for it is named and a shape was found."""
+def save_free_form(
+    scan: Any, backend: Backend, result: FitResult, blur: float, path: Path | None, surface: TriangleMesh | None = None
+) -> None:
+    """Write the fitted surface with its free-form remainder, where a file for it is named and a shape was found.
+
+    Vertices go on from `surface`, or from the backend's.
+    """
     if path is None or result.diagnosis.hopeless:
         return
     from sdm.fit.solve.free_form import free_form
@@ -64,6 +70,7 @@ def save_free_form(scan: Any, backend: Backend, result: FitResult, blur: float, 
     from sdm.viz.fit_figure import surface_of
 
     own = blur if result.blur is None else result.blur[0]
-    found = free_form(scan.values, scan.grid, surface_of(backend, result), blur=own, device=backend.device)
+    start = surface_of(backend, result) if surface is None else surface
+    found = free_form(scan.values, scan.grid, start, blur=own, device=backend.device)
     save_mesh(found.mesh, path)
     print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")

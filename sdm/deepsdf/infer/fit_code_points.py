@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,6 +16,8 @@ from sdm.fit.solve.fit_points import OUTLIER
 STEPS, HALVED = 12, 3
 # Steps end where the noise changes by less than this share.
 SETTLED = 0.01
+# Noise [radii] below which no network is exact, nor the points' own space in float32.
+FLOOR, ROUNDING = 1e-3, 1e-6
 # The share of the points that a code determines at most.
 MOST = 0.9
 
@@ -40,6 +43,20 @@ class CodePointFit:
     determined: float
     converged: bool
     steps: int
+
+    def record(self) -> dict[str, Any]:
+        """What JSON keeps of it."""
+        return {
+            "numbers": len(self.code),
+            "size": float(self.state.theta[0]),
+            "rotation": self.state.rotation.tolist(),
+            "translation": self.state.translation.tolist(),
+            "noise": self.noise,
+            "mean_distance": self.mean_distance,
+            "determined": self.determined,
+            "converged": self.converged,
+            "steps": self.steps,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +88,7 @@ def fit_code_points(points: Tensor, backend: DeepSDFBackend, start: State, *, no
     determine, which is the trace of J C J' (J C J' + W^-1)^-1.
     """
     unknowns = CodeUnknowns(backend, start, prior_deviations(backend))
-    floor = 1e-4 * unknowns.radius(unknowns.start)
+    floor = FLOOR * unknowns.radius(unknowns.start)
     at, noise, determined, converged, steps = unknowns.start, max(noise, floor), 0.0, False, 0
     seen = _look(unknowns, at, points)
     while steps < STEPS and not converged:
@@ -110,7 +127,7 @@ def _step(unknowns: CodeUnknowns, at: WholeCode, seen: _Seen, noise: float) -> t
     # Outliers pull no more strongly than others (Huber 1964).
     weight = (OUTLIER * noise / values.abs().clamp_min(1e-30)).clamp_max(1.0) / noise**2
     weight = torch.cat([weight, torch.full_like(seen.even.residual, 1 / SLOPE**2)])
-    factor = torch.linalg.cholesky(kernel + (1 / weight).diag())
+    factor = torch.linalg.cholesky(kernel + (1 / weight + ROUNDING * kernel.diagonal().mean()).diag())
     away = unknowns.away(at)
     taken = (rows @ gaussian.spread(away[:-7].float())).double() + similar @ away[-7:]
     residual = taken - torch.cat([values, seen.even.residual])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sdm.fit.model.backend import Backend
+
+NOT_CONVERGED = "the fit did not converge"
 
 
 def fit_any_family(
@@ -50,6 +51,15 @@ def fit_any_family(
     from sdm.cli.common.progress import StageProgress
     from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
+    if is_network(name):
+        from sdm.cli.commands.families.fit_network import fit_network
+
+        refuse_mesh_options(name, triangles, mirror)
+        fit_network(
+            image, name, out, mesh, picture, given, device, with_blur=with_blur, with_formation=with_formation,
+            residuals=residuals, free_form=free_form,
+        )  # fmt: skip
+        return
     fitted = shapes_to_fit(name, triangles, device, mirror=mirror)
     scan = sdm.load(image)
     options = usual_options(scan.grid, fitted.factor, **given)
@@ -94,21 +104,25 @@ class ShapesToFit:
     unit: str
 
 
-def shapes_to_fit(name: str, triangles: int | None, device: str, *, mirror: bool = False) -> ShapesToFit:
-    """Shapes by the name of a family, or by a DeepSDF's file, MODEL.pt.
+def is_network(name: str) -> bool:
+    """True of the name of a DeepSDF: MODEL.pt, or the folder that a training left it in."""
+    return name.lower().endswith(".pt") or (Path(name) / "model.pt").is_file()
+
+
+def refuse_mesh_options(name: str, triangles: int | None, mirror: bool) -> None:
+    """Refuse what a DeepSDF has no meshes for.
 
     Raises:
-        SDMError: Triangles or mirror images of a DeepSDF.
+        SDMError: One of these is given.
     """
-    if name.lower().endswith(".pt"):
-        from sdm.deepsdf import DeepSDF
-        from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
-        from sdm.errors import SDMError
+    from sdm.errors import SDMError
 
-        if triangles is not None or mirror:
-            raise SDMError(f"{name} is a DeepSDF: --triangles and --mirror are for families of meshes")
-        model = DeepSDF.load(name, device)
-        return ShapesToFit(partial(DeepSDFBackend, model), factor_of_model(model), "")
+    if triangles is not None or mirror:
+        raise SDMError(f"{name} is a DeepSDF: --triangles and --mirror are for families of meshes")
+
+
+def shapes_to_fit(name: str, triangles: int | None, device: str, *, mirror: bool = False) -> ShapesToFit:
+    """Shapes by the name of a family."""
     from sdm.fit import ExactBackend
     from sdm.fit.model.scaled_family import MirroredFamily, ScaledFamily, factor_of
     from sdm.shapes import load_family
@@ -134,25 +148,35 @@ def fit_family_points(
     from sdm.io.meshes.write import save_mesh
     from sdm.viz.fit_figure import surface_at
 
-    fitted = shapes_to_fit(name, triangles, device)
     found = points_of(points)
+    if is_network(name):
+        from sdm.cli.commands.families.fit_network import fit_network_points
+
+        refuse_mesh_options(name, triangles, False)
+        fit_network_points(found, points, name, out, mesh, turn, device)
+        return
+    fitted = shapes_to_fit(name, triangles, device)
     backend = fitted.backend(1.0)
     fit = fit_points(found, backend, turn=turn)
     record = {**fit.record(backend.parameters), "points": len(found)}
     with replacing(out) as part:
         part.write_text(json.dumps(record, indent=1) + "\n")
     if not fit.converged:
-        raise SDMError(f"the fit did not converge: {points} may be no shape of this family, or turned further (--turn)")
+        raise SDMError(f"{NOT_CONVERGED}: {points} may be no shape of this family, or turned further (--turn)")
     state = fit.posterior.state
     if mesh is not None:
         save_mesh(surface_at(backend, state), mesh)
+    print_points(record, state, len(found), fit.mean_distance, fitted.unit)
+
+
+def print_points(record: dict[str, Any], state: Any, count: int, distance: float, unit: str) -> None:
+    """Print estimates of points with their intervals."""
     for key, value in record["theta"].items():
         low, high = value["interval"]
         print(f"{key:<6} {value['estimate']:.4f}, 90 % within {low:.4f} to {high:.4f}")
-    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {fitted.unit}".rstrip())
+    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {unit}".rstrip())
     print(
-        f"{len(found):,} points, {fit.mean_distance:.4g} {fitted.unit}".rstrip()
-        + " from the shape on average; intervals take "
+        f"{count:,} points, {distance:.4g} {unit}".rstrip() + " from the shape on average; intervals take "
         "them to be independent"
     )
 

@@ -77,6 +77,8 @@ def test_predict_takes_parameters_by_name(place, tmp_path, capsys):
         ("--model run --set a=1.5 b c=1", "'b' is not NAME=NUMBER"),
         ("--model run --set a=1.5 a=1.5 b=1 c=1", "'a=1.5' is there twice"),
         ("--model nowhere --set a=1", "cannot be read"),
+        ("--model run/surrogate.safetensors --set a=1", "is a file of a surrogate: give the folder that it is in, run"),
+        ("--model run/surrogate.json --set a=1", "is a file of a surrogate: give the folder that it is in, run"),
         ("--model damaged --set a=1", "is no surrogate"),
         ("--model run --exact --set a=1", "--exact computes the map without a network"),
         ("--a 3.6", "the cochlea needs alpha, b, phi too"),

@@ -1,0 +1,98 @@
+"""`sdm fit` of a DeepSDF: to an image, or to points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+def fit_network(
+    image: Path,
+    name: str,
+    out: Path,
+    mesh: Path | None,
+    picture: Path | None,
+    given: dict[str, Any],
+    device: str,
+    *,
+    with_blur: bool = False,
+    with_formation: bool = False,
+    residuals: Path | None = None,
+    free_form: Path | None = None,
+) -> None:
+    """Fit a DeepSDF to an image, and write report, surface and picture; the arguments are those of `fit_any_family`."""
+    import json
+
+    import sdm
+    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
+    from sdm.cli.common.progress import StageProgress
+    from sdm.deepsdf import DeepSDF
+    from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
+    from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf
+    from sdm.fit.solve.fit_family import usual_options
+    from sdm.io.files.atomic import replacing
+    from sdm.io.meshes.write import save_mesh
+    from sdm.viz.fit_figure import draw_fit, surface_of
+
+    model = DeepSDF.load(name, device)
+    scan = sdm.load(image)
+    options = usual_options(scan.grid, factor_of_model(model), **given)
+    with StageProgress() as progress:
+        fit = fit_deepsdf(
+            scan.values,
+            scan.grid,
+            model,
+            options=options,
+            with_blur=with_blur,
+            with_formation=with_formation,
+            report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
+        )
+    with replacing(out) as part:
+        part.write_text(json.dumps(fit.record(), indent=1) + "\n")
+    save_residuals(scan, fit.result, residuals)
+    backend = DeepSDFBackend(model)
+    surface = None if fit.code is None else fit.code.mesh(backend)
+    save_free_form(scan, backend, fit.result, options.blur, free_form, surface)
+    fit.result.require()
+    if mesh is not None:
+        save_mesh(surface_of(backend, fit.result) if surface is None else surface, mesh)
+    if picture is not None:
+        draw_fit(scan.values, scan.grid, backend, fit.result, picture)
+    print_fit(fit.result, options.blur, "")
+    if fit.code is not None:
+        size = float(fit.code.state.theta[0])
+        print(f"code   all {len(fit.code.code):,} numbers, size {size:.4g}: the surface is of these, without intervals")
+
+
+def fit_network_points(
+    found: Any, points: Path, name: str, out: Path, mesh: Path | None, turn: float, device: str
+) -> None:
+    """Fit a DeepSDF to points (N,3) of a file, and write report and surface."""
+    import json
+
+    from sdm.cli.commands.families.fit_any import NOT_CONVERGED, print_points
+    from sdm.deepsdf import DeepSDF
+    from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
+    from sdm.deepsdf.infer.fit_code import surface_of_code
+    from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf_points
+    from sdm.errors import SDMError
+    from sdm.io.files.atomic import replacing
+    from sdm.io.meshes.write import save_mesh
+
+    model = DeepSDF.load(name, device)
+    fit = fit_deepsdf_points(found, model, turn=turn)
+    backend = DeepSDFBackend(model)
+    record = {**fit.components.record(backend.parameters), "points": len(found), "code": fit.code.record()}
+    with replacing(out) as part:
+        part.write_text(json.dumps(record, indent=1) + "\n")
+    if not (fit.components.converged and fit.code.converged):
+        raise SDMError(f"{NOT_CONVERGED}: {points} may be no shape of this DeepSDF, or turned further (--turn)")
+    if mesh is not None:
+        save_mesh(surface_of_code(backend, fit.code.code, fit.code.state), mesh)
+    print_points(record, fit.components.posterior.state, len(found), fit.components.mean_distance, "")
+    code = fit.code
+    print(
+        f"code   all {len(code.code):,} numbers, of which the points determine {code.determined:.0f}, size "
+        f"{float(code.state.theta[0]):.4g}: {code.mean_distance:.4g} from the points; the surface is of these, without "
+        "intervals"
+    )
