@@ -67,7 +67,7 @@ class CodeFit:
     steps: int
 
     def record(self) -> dict[str, Any]:
-        """What JSON keeps of it."""
+        """Plain numbers, for JSON."""
         rotation, translation = self.state.rotation.tolist(), self.state.translation.tolist()
         return {
             "numbers": len(self.code),

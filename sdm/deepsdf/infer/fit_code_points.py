@@ -45,7 +45,7 @@ class CodePointFit:
     steps: int
 
     def record(self) -> dict[str, Any]:
-        """What JSON keeps of it."""
+        """Plain numbers, for JSON."""
         return {
             "numbers": len(self.code),
             "size": float(self.state.theta[0]),

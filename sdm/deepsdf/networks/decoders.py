@@ -45,7 +45,7 @@ class PublishedDecoder(nn.Module):
         return self.decode(self.seen(codes, points), points)
 
     def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-        """What a point sees of codes (B,D): all of it, (B,1,D), the same at every point; linear in the codes."""
+        """Parts of codes (B,D) that a point sees: all of them, (B,1,D), the same at every point; linear in the codes."""
         return (codes[:, None],)
 
     def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
@@ -98,7 +98,7 @@ class LocalDecoder(nn.Module):
         return self.decode(self.seen(codes, points), points)
 
     def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-        """What points (B,N,3) see of codes (B,D): that of the whole shape, (B,1,G), and of the grids, (B,N,C).
+        """Parts of codes (B,D) that points (B,N,3) see: that of the whole shape, (B,1,G), and of the grids, (B,N,C).
 
         Linear in the codes: derivatives by any number of these follow from those by what a point sees.
         """
