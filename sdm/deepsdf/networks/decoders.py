@@ -45,7 +45,7 @@ class PublishedDecoder(nn.Module):
         return self.decode(self.seen(codes, points), points)
 
     def seen(self, codes: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-        """Parts of codes (B,D) that a point sees: all of them, (B,1,D), the same at every point; linear in the codes."""
+        """Parts of codes (B,D) that a point sees: all of them, (B,1,D), alike at every point; linear in them."""
         return (codes[:, None],)
 
     def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
