@@ -36,15 +36,11 @@ from sdm.kernels.winding.looks.count_places import (
     LENGTH,
     LOOKED,
     NEXT,
-    NEXT_RECORD,
     NEXT_UNSURE,
-    RECORDED,
-    RECORDED_NEAR,
     STRIDE,
     UNSURE,
 )
 from sdm.kernels.winding.looks.look_again import look_again
-from sdm.kernels.winding.looks.look_around import list_wholes, look_around
 from sdm.kernels.winding.looks.mixed_descent import ROOM
 from sdm.kernels.winding.looks.records import new_records
 from sdm.kernels.winding.looks.see_boxes import BLOCKS as SEERS
@@ -134,25 +130,12 @@ def open_caps(
         level += 1
     bits, again = BITS[level - 1], AGAIN if BITS[level - 1] > smallest else ()
     voxels = empty(values.size // VOXELS_OF + LEAST_VOXELS if again else 1, wp.int32)
-    slots, wholes = boxes[0], wp.vec3i(0, 0, 0)
-    if again:
-        # What boxes of 4^3 have in common with others of the same box of 8^3.
-        wholes = wp.vec3i(*(-(-n >> bits + 1) for n in shape))
-        some = meshes * math.prod(wholes)
-        listed, slots = empty(some, wp.int32), new_zeros(empty, some)
-        at, number = STRIDE * level, STRIDE * (level + 1) + RECORDED
-        inputs = [workers * lanes, cells, wholes, at + LENGTH, number, left[0], listed, slots, counts]
-        launch(list_wholes, workers * lanes, inputs, device, smallest=1)
-        inputs = [caps, slab, again[0] * FULL, ROOM_AGAIN, wholes, number, at + NEXT_RECORD, at + RECORDED]
-        inputs += [at + RECORDED_NEAR, listed, slots, records, counts, stacks, lanes, values]
-        launch(look_around, workers * lanes, inputs, device, smallest=1)
     for look, tolerance in enumerate(again, 1):
         boxes, left = left, lists()
         places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * level + LOOKED if look == 1 else -1]
         places += [STRIDE * (level + 1) + LENGTH, UNSURE]
-        inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, cells, *places, int(look == len(again))]
-        inputs += [wholes if look == 1 else wp.vec3i(0, 0, 0), slots, records, *boxes, *left, voxels]
-        launch(look_again, workers * lanes, [*inputs, counts, stacks, lanes, values], device, smallest=1)
+        inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, cells, *places, int(look == len(again)), *boxes, *left]
+        launch(look_again, workers * lanes, [*inputs, voxels, counts, stacks, lanes, values], device, smallest=1)
         level += 1
     if again:
         places = [UNSURE, NEXT_UNSURE, STRIDE * ALONE + LOOKED, EXACT]

@@ -32,19 +32,7 @@ from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.cap_field import Field, doubt, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
-from sdm.kernels.winding.looks.count_places import (
-    ALONE,
-    BITS,
-    COUNTS,
-    EXACT,
-    LENGTH,
-    LOOKED,
-    NEXT,
-    NEXT_RECORD,
-    RECORDED_NEAR,
-    STRIDE,
-)  # fmt: skip
-from sdm.kernels.winding.looks.records import ROW, Records, new_records, read_field, write_field
+from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.near_caps import FULL, UNIT
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
 from sdm.kernels.winding.rims.radial_strips import (
@@ -98,17 +86,8 @@ def field_of(look: Look, lanes: int):
     return field
 
 
-@wp.func
-def centre_of(tree: Tree, slab: Slab, bits: int, cells: wp.vec3i, item: int):
-    """The mesh of a box, whence in it the ways to its voxels begin (scaled), and half-widths around that."""
-    mesh, at = unravel(item, cells)
-    start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
-    box = box_of_voxels(slab_of(slab, mesh), start, 1 << bits, float(tree.frame[mesh * FRAME_SIZE + SCALE]))
-    return mesh, box.centre + wp.cw_mul(ASIDE, box.half), WIDER * box.half
-
-
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _see_strips(
+def _open_by_edges(
     begin: int,
     tree: Tree,
     boundary: Boundary,
@@ -116,119 +95,69 @@ def _see_strips(
     bits: int,
     tolerance: float,
     cells: wp.vec3i,
-    first: int,
-    last: int,
-    records: Records,
-    next_item: int,
-    listed: int,
-    counts: wp.array(dtype=wp.int32),
-    stacks: wp.array(dtype=wp.int32),
-    lanes: int,
-):
-    """Record what boxes of 2^bits voxels along each edge, `cells` along each axis, are near, and the field of the rest.
-
-    From the first box to before the last one; those of which too little is known have a negative number of near edges.
-    `next_item` and `listed` are places of the counts: of boxes, and of near edges.
-    """
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    stack = large_stack_of(stacks, thread / lanes)
-    room = wp.where(on_cpu(), _ROOM_ON_CPU, _ROOM_ON_GPU)
-    room_across = wp.where(on_cpu(), LARGE_STACK_ON_CPU - _ROOM_ON_CPU, LARGE_STACK - _ROOM_ON_GPU)
-    slot = fetch_add_once(counts, next_item, 1, lane)
-    while slot < last - first:
-        mesh, c, half = centre_of(tree, slab, bits, cells, first + slot)
-        look = look_at_edges(
-            boundary.ends, mesh * boundary.count, edges_of(boundary), c, wp.length(half), half, tolerance, stack, 0,
-            room, room, room_across, lane, lanes,
-        )  # fmt: skip
-        field = field_of(look, lanes)
-        near = int(look[NEAR])
-        across = int(look[ACROSS_BOX])
-        place = int(0)
-        if near > room or across > room_across or not doubt(field) < MOST_DOUBT:
-            near = int(-1)
-        else:
-            place = fetch_add_once(counts, listed, near + across, lane)
-            if place + near + across > records.near.shape[0]:
-                near = int(-1)
-        wait_for_lanes()
-        if lane == 0:
-            write_field(records, slot, field)
-            records.rows[ROW * slot] = near
-            records.rows[ROW * slot + 1] = across
-            records.rows[ROW * slot + 2] = place
-        if near >= 0:
-            i = lane
-            while i < near + across:
-                records.near[place + i] = stack[wp.where(i < near, i, room + i - near)]
-                i = i + lanes
-        # All have read the lists before others take their place.
-        wait_for_lanes()
-        slot = fetch_add_once(counts, next_item, 1, lane)
-
-
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _settle_strips(
-    begin: int,
-    tree: Tree,
-    boundary: Boundary,
-    slab: Slab,
-    bits: int,
-    cells: wp.vec3i,
-    first: int,
-    last: int,
-    records: Records,
     left: wp.array(dtype=wp.int32),
     left_octants: wp.array(dtype=wp.int32),
     next_item: int,
     looked: int,
     length: int,
     counts: wp.array(dtype=wp.int32),
+    stacks: wp.array(dtype=wp.int32),
     lanes: int,
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open the voxels of recorded boxes; list those that leave some in doubt.
+    """Open boxes of 2^bits voxels along each edge, `cells` along each axis; list those that leave some in doubt.
 
     `next_item`, `looked` and `length` are places of the counts.
     """
-    lane = (begin + wp.tid()) % lanes
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    stack = large_stack_of(stacks, thread / lanes)
+    total = values.shape[0] * cells[0] * cells[1] * cells[2]
+    room = wp.where(on_cpu(), _ROOM_ON_CPU, _ROOM_ON_GPU)
+    room_across = wp.where(on_cpu(), LARGE_STACK_ON_CPU - _ROOM_ON_CPU, LARGE_STACK - _ROOM_ON_GPU)
     together = wp.where(on_cpu(), _TOGETHER_ON_CPU, _TOGETHER_ON_GPU)
-    slot = fetch_add_once(counts, next_item, 1, lane)
-    while slot < last - first:
-        mesh, c, half = centre_of(tree, slab, bits, cells, first + slot)
-        _mesh, at = unravel(first + slot, cells)
-        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+    item = fetch_add_once(counts, next_item, 1, lane)
+    while item < total:
+        mesh, at = unravel(item, cells)
         scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
         here = slab_of(slab, mesh)
-        near = records.rows[ROW * slot]
-        across = records.rows[ROW * slot + 1]
-        place = records.rows[ROW * slot + 2]
-        undone = wp.where(near < 0, 255, 0)
-        if near >= 0:
-            field = read_field(records, slot)
-            change = most_change(field, half)
-            error = doubt(field)
-            middle = float(field.value) / FULL
-            plain = near + across == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
-            number_first = int(0)
-            while number_first < 1 << (3 * bits):
+        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+        box = box_of_voxels(here, start, 1 << bits, scale)
+        c = box.centre + wp.cw_mul(ASIDE, box.half)
+        half = WIDER * box.half
+        radius = wp.length(half)
+        look = look_at_edges(
+            boundary.ends, mesh * boundary.count, edges_of(boundary), c, radius, half, tolerance, stack, 0, room, room,
+            room_across, lane, lanes,
+        )  # fmt: skip
+        field = field_of(look, lanes)
+        near = int(look[NEAR])
+        across = int(look[ACROSS_BOX])
+        wait_for_lanes()
+        undone = int(0)
+        change = most_change(field, half)
+        error = doubt(field)
+        middle = float(field.value) / FULL
+        plain = near + across == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
+        if near > room or across > room_across or not error < MOST_DOUBT:
+            undone = int(255)
+        else:
+            first = int(0)
+            while first < 1 << (3 * bits):
                 xs = Eight()
                 ys = Eight()
                 zs = Eight()
                 for k in range(8):
-                    number = number_first + wp.where(on_cpu(), k, k * lanes + lane)
+                    number = first + wp.where(on_cpu(), k, k * lanes + lane)
                     if k < together and number < 1 << (3 * bits):
                         v = start + place_in_box(number, bits)
                         p = scale * voxel(here, v[0], v[1], v[2])
                         xs[k] = p[0]
                         ys[k] = p[1]
                         zs[k] = p[2]
-                found = strips_at(
-                    boundary.ends, records.near, place, near, place + near, across, c, wp.length(half), xs, ys, zs
-                )
+                found = strips_at(boundary.ends, stack, 0, near, room, across, c, radius, xs, ys, zs)
                 for k in range(8):
-                    number = number_first + wp.where(on_cpu(), k, k * lanes + lane)
+                    number = first + wp.where(on_cpu(), k, k * lanes + lane)
                     if k < together and number < 1 << (3 * bits):
                         v = start + place_in_box(number, bits)
                         if is_left(slab, values, mesh, v):
@@ -244,15 +173,17 @@ def _settle_strips(
                                 inner = place_in_box(number, bits)
                                 h = bits - 1
                                 undone = undone | (1 << (4 * (inner[0] >> h) + 2 * (inner[1] >> h) + (inner[2] >> h)))
-                number_first = number_first + together * lanes
+                first = first + together * lanes
         undone = bits_of_lanes(undone)
         if lane == 0:
             fetch_add(counts, looked, 1)
             if undone != 0:
-                listed = fetch_add(counts, length, 1)
-                left[listed] = first + slot
-                left_octants[listed] = undone
-        slot = fetch_add_once(counts, next_item, 1, lane)
+                place = fetch_add(counts, length, 1)
+                left[place] = item
+                left_octants[place] = undone
+        # All have read the lists before others take their place.
+        wait_for_lanes()
+        item = fetch_add_once(counts, next_item, 1, lane)
 
 
 # A mesh with no more boundary edges than this, and for each from so many to that many faces, is opened by them: loose
@@ -261,8 +192,6 @@ MOST_EDGES = {"cuda": 2000, "cpu": 2000}
 FACES_AN_EDGE = {"cuda": (0.5, 5), "cpu": (0.5, 6)}
 # What an edge's polynomial may leave out of the solid angle.
 TOLERANCES = {"cuda": 3e-3, "cpu": 6e-3}
-# Boxes that are recorded at a time, at most, and room for near edges of each, with those across.
-MOST_RECORDS, NEAR_EACH = 1 << 18, 64
 # Bits of the size of boxes, smaller ones where a GPU has less than so many for each group of lanes.
 BOX_BITS = {"cuda": 3, "cpu": 2}
 FEWEST = 4
@@ -290,32 +219,11 @@ def open_edges(
         bits -= 1
     level = BITS.index(bits)
     cells = wp.vec3i(*(-(-n >> bits) for n in shape))
-    total = meshes * cells[0] * cells[1] * cells[2]
-    left, left_octants = (empty(total, wp.int32) for _ in range(2))
+    left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
     at, after = STRIDE * level, STRIDE * (level + 1)
-    # Boxes are recorded by so many at a time.
-    records = new_records(min(MOST_RECORDS, total), NEAR_EACH * min(MOST_RECORDS, total), empty)
-    for first in range(0, total, MOST_RECORDS):
-        if first > 0:
-            counts[at + NEXT : at + NEXT + 1].zero_()
-            counts[at + RECORDED_NEAR : at + STRIDE].zero_()
-        part = [tree, boundary, slab, bits]
-        some = [cells, first, min(first + MOST_RECORDS, total), records]
-        inputs = [*part, TOLERANCES[kind], *some, at + NEXT, at + RECORDED_NEAR, counts, stacks, lanes]
-        launch(_see_strips, workers * lanes, inputs, device, smallest=1)
-        inputs = [
-            *part,
-            *some,
-            left,
-            left_octants,
-            at + NEXT_RECORD,
-            at + LOOKED,
-            after + LENGTH,
-            counts,
-            lanes,
-            values,
-        ]
-        launch(_settle_strips, workers * lanes, inputs, device, smallest=1)
+    inputs = [tree, boundary, slab, bits, TOLERANCES[kind], cells, left, left_octants]
+    inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, lanes, values]
+    launch(_open_by_edges, workers * lanes, inputs, device, smallest=1)
     inputs = [tree, boundary, caps, 1, slab, bits, cells, workers if device.is_cuda else 0, left, left_octants]
     inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, lanes, values]
     launch(open_doubtful, workers * lanes, inputs, device, smallest=1)
