@@ -19,6 +19,8 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 FIRST, LAST = 0.25, 0.95
 # Between two looks at files that grow [s].
 PAUSE = 0.05
+# Bytes of files that may have got their place beforehand.
+LARGE = 1 << 20
 # Of a dataset whose rate once it runs is told.
 SHARDS = 8
 
@@ -90,10 +92,24 @@ def generate_rates(
 
 
 def bytes_in(folder: Path) -> int:
-    """Bytes of the files of a folder, some of which may go meanwhile."""
+    """Bytes of the files of a folder, some of which may go meanwhile.
+
+    A file that has got its place on the disk beforehand counts by what is written of it.
+    """
     found = 0
     for root, _, names in os.walk(folder):
         for name in names:
             with suppress(OSError):
-                found += Path(root, name).stat().st_size
+                found += _written(Path(root, name))
     return found
+
+
+def _written(path: Path) -> int:
+    size = path.stat().st_size
+    if size < LARGE or not hasattr(os, "SEEK_HOLE"):
+        return size
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        return os.lseek(handle, 0, os.SEEK_HOLE)
+    finally:
+        os.close(handle)

@@ -2,13 +2,15 @@
 
 A file that goes by the cache is copied there first, and then its flush waits: for the journal, and so for what other
 files have in the cache. Past it the disk is busy from the first bytes on, and a flush has little left to do. While the
-disk has one part of a large file, the next one is gathered.
+disk has some parts of a large file, the next one is gathered. Its place is taken beforehand: a file that grows takes one
+part at a time.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
@@ -19,14 +21,17 @@ from typing import Any, Self
 import numpy as np
 
 from sdm.io.files.atomic import write_all
-from sdm.io.files.thread_room import thread_room
+from sdm.io.files.thread_room import fresh_pages
+from sdm.runtime.file_space import take_space
 
 # Bytes of one call that writes, and what disks ask their sizes to be multiples of.
-ROOM, BLOCK = 1 << 23, 1 << 12
+ROOM, BLOCK = 1 << 22, 1 << 12
 # Smaller files are not worth it.
 LEAST = 1 << 21
-# Smaller ones are not worth a thread that writes them; more threads than have files to write wait for nothing.
-LEAST_BESIDE, MOST_BESIDE = 1 << 25, 32
+# Smaller ones are not worth threads that write them. Parts of a file that the disk has at a time.
+LEAST_BESIDE, PARTS = 1 << 25, 4
+# More threads than have files to write wait for nothing.
+MOST_BESIDE = 32
 
 
 class DirectFile:
@@ -34,7 +39,7 @@ class DirectFile:
 
     Args:
         path: The file. An older one is replaced.
-        size: About how large it will be. A large one is written by a thread of its own, beside whoever has more.
+        size: About how large it will be. A large one is written by threads of its own, beside whoever has more.
 
     On file systems in memory or over a network, on other systems than Linux, and where `size` is small, it is a file as
     any other. Whoever wants it on the disk flushes it, as any other.
@@ -47,9 +52,13 @@ class DirectFile:
         handle = _opened_directly(path) if size >= LEAST else None
         self._direct = handle is not None
         self._file: Any = path.open("wb", buffering=0) if handle is None else os.fdopen(handle, "wb", buffering=0)
-        self._beside = size >= LEAST_BESIDE
-        self._at = self._written = self._turn = 0
-        self._pending: Future[None] | None = None
+        self._parts = PARTS if size >= LEAST_BESIDE else 0
+        # The next part, bytes in it, and before it.
+        self._room: np.ndarray | None = None
+        self._at = self._begin = 0
+        self._pending: deque[Future[None]] = deque()
+        if handle is not None and self._parts:
+            take_space(handle, -(-size // BLOCK) * BLOCK)
 
     def __enter__(self) -> Self:
         return self
@@ -58,12 +67,12 @@ class DirectFile:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None:
+            if kind is None and self._direct:
                 self._end()
         finally:
             try:
                 # Memory and file are in use until then.
-                self._wait()
+                self._wait(0)
             finally:
                 self._file.close()
 
@@ -79,49 +88,62 @@ class DirectFile:
         for piece in pieces:
             left = np.frombuffer(piece, np.uint8) if len(piece) else np.empty(0, np.uint8)
             while len(left):
+                if self._room is None:
+                    self._room = _room()
                 count = min(len(left), ROOM - self._at)
-                _buffer(self._turn)[self._at : self._at + count] = left[:count]
+                self._room[self._at : self._at + count] = left[:count]
                 self._at, left = self._at + count, left[count:]
                 if self._at == ROOM:
-                    self._whole_room()
-
-    def _whole_room(self) -> None:
-        self._wait()
-        room, self._at = _buffer(self._turn), 0
-        if not self._beside:
-            self._put(room)
-            return
-        self._pending = _threads().submit(self._put, room)
-        self._turn = 1 - self._turn
-
-    def _wait(self) -> None:
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.result()
+                    self._send(ROOM)
 
     def _end(self) -> None:
-        self._wait()
-        if not self._at:
-            return
-        whole, size = -(-self._at // BLOCK) * BLOCK, self._written + self._at
-        room = _buffer(self._turn)
-        room[self._at : whole] = 0
-        self._put(room[:whole])
+        whole, size = -(-self._at // BLOCK) * BLOCK, self._begin + self._at
+        if self._room is not None:
+            self._room[self._at : whole] = 0
+            self._send(whole)
+        self._wait(0)
         self._file.truncate(size)
 
-    def _put(self, content: np.ndarray) -> None:
+    def _send(self, count: int) -> None:
+        """Hand the next part of so many bytes to the disk."""
+        given = self._room, count, self._begin
+        self._room, self._at, self._begin = None, 0, self._begin + count
+        if not self._parts:
+            self._put(*given)
+            return
+        self._wait(self._parts - 1)
+        self._pending.append(_threads().submit(self._put, *given))
+
+    def _wait(self, most: int) -> None:
+        """Wait until at most so many parts are on their way, or, where one fails, for all."""
+        failed: BaseException | None = None
+        while len(self._pending) > (most if failed is None else 0):
+            error = self._pending.popleft().exception()
+            failed = failed or error
+        if failed is not None:
+            raise failed
+
+    def _put(self, room: np.ndarray, count: int, begin: int) -> None:
         try:
-            write_all(self._file, [content.data])
+            put_at(self._file.fileno(), room[:count].data, begin)
+        finally:
+            _spare.append(room)
+
+
+def put_at(handle: int, content: memoryview, begin: int) -> None:
+    """Write bytes to a place in a file. One that is open past the cache, and cannot be so, goes by it from then on."""
+    done, again = 0, False
+    while done < len(content):
+        try:
+            done += os.pwrite(handle, content[done:], begin + done)
         except OSError as error:
-            if error.errno != errno.EINVAL:
+            if error.errno != errno.EINVAL or again:
                 raise
             # A disk of larger blocks.
             import fcntl
 
-            fcntl.fcntl(self._file, fcntl.F_SETFL, fcntl.fcntl(self._file, fcntl.F_GETFL) & ~os.O_DIRECT)
-            self._file.seek(self._written)
-            write_all(self._file, [content.data])
-        self._written += len(content)
+            again = True
+            fcntl.fcntl(handle, fcntl.F_SETFL, fcntl.fcntl(handle, fcntl.F_GETFL) & ~os.O_DIRECT)
 
 
 def _opened_directly(path: Path) -> int | None:
@@ -137,9 +159,15 @@ def _opened_directly(path: Path) -> int | None:
         return None
 
 
-def _buffer(turn: int) -> np.ndarray:
-    """One of two pieces of memory of this thread, at the beginning of a page, as disks ask for."""
-    return thread_room(f"disk {turn}", ROOM)
+# Parts' memory that is used again, at the beginning of a page, as disks ask for.
+_spare: list[np.ndarray] = []
+
+
+def _room() -> np.ndarray:
+    try:
+        return _spare.pop()
+    except IndexError:
+        return fresh_pages(ROOM)
 
 
 @cache

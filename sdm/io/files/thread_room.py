@@ -22,10 +22,15 @@ def thread_room(name: str, size: int) -> np.ndarray:
         _own.rooms = {}
     kept = _own.rooms.get(name)
     if kept is None or len(kept) < size:
-        memory = mmap.mmap(-1, size)
-        if hasattr(mmap, "MADV_HUGEPAGE"):
-            # A system without large pages says so.
-            with suppress(OSError):
-                memory.madvise(mmap.MADV_HUGEPAGE)
-        kept = _own.rooms[name] = np.frombuffer(memory, np.uint8)
+        kept = _own.rooms[name] = fresh_pages(size)
     return kept[:size]
+
+
+def fresh_pages(size: int) -> np.ndarray:
+    """Fresh bytes (size,) at the beginning of a page, in large pages where the system has some."""
+    memory = mmap.mmap(-1, size)
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        # A system without large pages says so.
+        with suppress(OSError):
+            memory.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(memory, np.uint8)

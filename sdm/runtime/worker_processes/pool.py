@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-import queue
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -19,10 +20,10 @@ from sdm.runtime.worker_processes.shared_memory import SharedMemory, packed
 BEGIN = """
 import sys
 from multiprocessing.connection import Connection
-link = Connection(int(sys.argv[1]))
-sys.path[:] = link.recv()
+links = [Connection(int(number)) for number in sys.argv[1:]]
+sys.path[:] = links[0].recv()
 from sdm.runtime.worker_processes.serve import serve
-serve(link)
+serve(links)
 """
 # Libraries of linear algebra start a thread for each core otherwise.
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -36,32 +37,35 @@ class WorkerError(SDMError):
 
 class _Worker(NamedTuple):
     process: subprocess.Popen[bytes]
-    link: Connection
+    links: list[Connection]
+    idle: list[Connection]
 
 
 class WorkerProcesses:
-    """Processes that do calls of a function, each one call at a time; a context manager.
+    """Processes that do calls of a function; a context manager.
 
     Args:
         function: Its place, `module:function`. What the module imports is what the start costs.
         count: Of processes.
+        calls: That a process does at a time, each in a thread of its own.
         shared: Memory that they are to have: arrays in it are not copied.
 
     They end with this process, however that ends. An interrupt from the terminal is this process's alone.
     """
 
-    def __init__(self, function: str, count: int, *, shared: Sequence[SharedMemory] = ()) -> None:
+    def __init__(
+        self, function: str, count: int, *, calls: int = 1, shared: Sequence[SharedMemory] = ()
+    ) -> None:
         self._workers: list[_Worker] = []
-        self._idle: queue.LifoQueue[_Worker] = queue.LifoQueue()
+        self._idle, self._lock = threading.Semaphore(count * calls), threading.Lock()
         self._shared = shared
         handles = [memory.handle for memory in shared]
         try:
             for _ in range(count):
-                worker = _started(handles)
+                worker = _started(handles, calls)
                 self._workers.append(worker)
-                worker.link.send(sys.path)
-                worker.link.send_bytes(function.encode())
-                self._idle.put(worker)
+                worker.links[0].send(sys.path)
+                worker.links[0].send_bytes(function.encode())
         except BaseException:
             self.close()
             raise
@@ -75,21 +79,25 @@ class WorkerProcesses:
         self.close()
 
     def call(self, *given: Any) -> Any:
-        """Do a call in the next process that is idle, and return its value. Safe to use from several threads.
+        """Do a call in the process that has the least to do, and return its value. Safe to use from several threads.
 
         Raises:
             WorkerError: The process died, whose work nobody else takes.
             Exception: What the function raised.
         """
-        worker = self._idle.get()
-        try:
-            worker.link.send_bytes(packed(given, self._shared))
-            error, value = worker.link.recv()
-        except (EOFError, OSError):
-            code = worker.process.wait()
-            raise WorkerError(f"a worker process died (exit code {code}); --resume goes on from there") from None
-        finally:
-            self._idle.put(worker)
+        with self._idle:
+            with self._lock:
+                worker = max(self._workers, key=lambda one: len(one.idle))
+                link = worker.idle.pop()
+            try:
+                link.send_bytes(packed(given, self._shared))
+                error, value = link.recv()
+            except (EOFError, OSError):
+                code = worker.process.wait()
+                raise WorkerError(f"a worker process died (exit code {code}); --resume goes on from there") from None
+            finally:
+                with self._lock:
+                    worker.idle.append(link)
         if error is not None:
             raise error
         return value
@@ -97,26 +105,28 @@ class WorkerProcesses:
     def close(self) -> None:
         """End them; calls that are still on are cut off."""
         for worker in self._workers:
-            worker.link.close()
+            for link in worker.links:
+                link.close()
         for worker in self._workers:
             try:
                 worker.process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
                 worker.process.kill()
                 worker.process.wait()
-        self._workers.clear()
 
 
-def _started(handles: Sequence[int]) -> _Worker:
-    ours, theirs = socket.socketpair()
-    with theirs:
+def _started(handles: Sequence[int], calls: int) -> _Worker:
+    with ExitStack() as stack:
+        pairs = [socket.socketpair() for _ in range(calls)]
+        theirs = [stack.enter_context(pair[1]).fileno() for pair in pairs]
         # Nothing but our own words.
         process = subprocess.Popen(  # noqa: S603
-            [sys.executable, "-c", BEGIN, str(theirs.fileno())],
+            [sys.executable, "-c", BEGIN, *map(str, theirs)],
             stdin=subprocess.DEVNULL,
             env={**os.environ, **ALONE},
-            pass_fds=[theirs.fileno(), *handles],
+            pass_fds=[*theirs, *handles],
             # Otherwise an interrupt would reach it too.
             process_group=0,
         )
-    return _Worker(process, Connection(ours.detach()))
+    links = [Connection(ours.detach()) for ours, _ in pairs]
+    return _Worker(process, links, [*links])

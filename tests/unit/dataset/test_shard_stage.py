@@ -27,8 +27,8 @@ pytestmark = pytest.mark.skipif(not can_share(), reason="this system has no memo
 FAMILY = Cochlea(600)
 
 
-def write(path: Path, **options):
-    return generate(FAMILY, FAMILY.grid(10), 11, path, **{"device": "cpu", "shard": 2, **options})
+def write(path: Path, count: int = 11, **options):
+    return generate(FAMILY, FAMILY.grid(10), count, path, **{"device": "cpu", "shard": 2, **options})
 
 
 @pytest.fixture
@@ -66,15 +66,15 @@ def test_one_that_is_killed_is_said_and_loses_what_it_had(tmp_path, monkeypatch,
                 worker.process.kill()
 
     with pytest.raises(SDMError, match=r"a worker process died \(exit code -9\); --resume goes on from there"):
-        write(target, progress=kill)
+        write(target, 59, progress=kill)
     part = layout.part_of(target)
     manifest = read_manifest(part)
-    done = [n for n in range(6) if layout.is_done(part, manifest, n)]
-    assert 0 < len(done) < 6
+    done = [n for n in range(30) if layout.is_done(part, manifest, n)]
+    assert 0 < len(done) < 30
     assert all(layout.is_sound(part, manifest, n) for n in done)
     assert not list(part.rglob("*.part"))
     monkeypatch.undo()
-    assert contents(write(target, resume=True)) == contents(write(tmp_path / "whole.zarr"))
+    assert contents(write(target, 59, resume=True)) == contents(write(tmp_path / "whole.zarr", 59))
 
 
 def test_a_disk_that_cannot_be_written_is_said(tmp_path, started):

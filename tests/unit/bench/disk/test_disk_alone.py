@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ from sdm.bench.disk.devices import compute_rows, generate_rows
 from sdm.bench.disk.pairs import row_of as pairs_of
 from sdm.bench.disk.plain_writer import plain_seconds
 from sdm.bench.disk.real_disk import WORKS, row_of, works
-from sdm.bench.disk.steady import rates
+from sdm.bench.disk.steady import bytes_in, rates
+from sdm.runtime.file_space import take_space
 
 
 @pytest.mark.parametrize("direct", [False, True])
@@ -37,6 +39,20 @@ def test_rates_leave_the_start_out():
     found = rates(0.0, [10.0 + 10 * step for step in range(1, 11)], [10 * step for step in range(1, 11)])
     assert found == {"of_all": round(100 / 110, 1), "steady": 1.0}
     assert rates(0.0, [2.0], [4]) == {"of_all": 2.0}
+
+
+def test_space_that_is_taken_is_not_written_yet(tmp_path):
+    (tmp_path / "some").mkdir()
+    (tmp_path / "some" / "small").write_bytes(bytes(100))
+    with (tmp_path / "large").open("wb", buffering=0) as file:
+        if not take_space(file.fileno(), 1 << 22):
+            pytest.skip("the file system takes no space beforehand")
+        for _ in range(3):
+            file.write(bytes(1 << 16))
+        os.fsync(file.fileno())
+        assert bytes_in(tmp_path) == 100 + 3 * (1 << 16)
+        file.truncate(1 << 16)
+    assert bytes_in(tmp_path) == 100 + (1 << 16)
 
 
 def test_a_row_of_each_work(tmp_path, monkeypatch, capsys):

@@ -51,19 +51,17 @@ def test_where_such_files_are_refused(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="Linux")
 def test_a_disk_of_larger_blocks(tmp_path, monkeypatch):
-    content, plain, refused = os.urandom(3 * ROOM + 5), direct_file.write_all, []
+    content, plain, refused = os.urandom(3 * ROOM + 5), os.pwrite, []
     monkeypatch.setattr(direct_file, "_opened_directly", lambda path: os.open(path, os.O_WRONLY | os.O_TRUNC))
 
-    def write_all(file, pieces):
-        if len(refused) < 2 and file.tell() == ROOM:
-            refused.append(file.tell())
-            # Half of a block was taken before.
-            if len(refused) == 1:
-                os.write(file.fileno(), bytes(BLOCK))
-                raise OSError(errno.EINVAL, "no")
-        plain(file, pieces)
+    def pwrite(handle, some, begin):
+        if begin == ROOM + BLOCK and begin not in refused:
+            refused.append(begin)
+            raise OSError(errno.EINVAL, "no")
+        # One block is taken before.
+        return plain(handle, some[:BLOCK] if begin == ROOM else some, begin)
 
-    monkeypatch.setattr(direct_file, "write_all", write_all)
+    monkeypatch.setattr(os, "pwrite", pwrite)
     assert written(tmp_path / "a", content, 1000) == content
     assert refused
 
@@ -73,14 +71,14 @@ def test_a_disk_of_larger_blocks(tmp_path, monkeypatch):
 def test_a_disk_that_is_full(tmp_path, monkeypatch, rooms):
     """Whoever writes hears of it, and not later than when the file is closed."""
     monkeypatch.setattr(direct_file, "_opened_directly", lambda path: os.open(path, os.O_WRONLY | os.O_CREAT))
-    plain = direct_file.write_all
+    plain = os.pwrite
 
-    def write_all(file, pieces):
-        if file.tell() >= (rooms - 1) * ROOM:
+    def pwrite(handle, some, begin):
+        if begin >= (rooms - 1) * ROOM:
             raise OSError(errno.ENOSPC, "full")
-        plain(file, pieces)
+        return plain(handle, some, begin)
 
-    monkeypatch.setattr(direct_file, "write_all", write_all)
+    monkeypatch.setattr(os, "pwrite", pwrite)
     with pytest.raises(OSError, match="full"), DirectFile(tmp_path / "a", 3 * ROOM) as file:
         for _ in range(3):
             file.write(bytes(ROOM))
