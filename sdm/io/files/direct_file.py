@@ -2,8 +2,8 @@
 
 A file that goes by the cache is copied there first, and then its flush waits: for the journal, and so for what other
 files have in the cache. Past it the disk is busy from the first bytes on, and a flush has little left to do. While the
-disk has some parts of a large file, the next one is gathered. Its place is taken beforehand: a file that grows takes one
-part at a time.
+disk has some parts of a large file, the next one is gathered. Its place is taken beforehand, as a file that grows takes
+one part at a time.
 """
 
 from __future__ import annotations
@@ -94,19 +94,19 @@ class DirectFile:
                 self._room[self._at : self._at + count] = left[:count]
                 self._at, left = self._at + count, left[count:]
                 if self._at == ROOM:
-                    self._send(ROOM)
+                    self._send(self._room, ROOM)
 
     def _end(self) -> None:
         whole, size = -(-self._at // BLOCK) * BLOCK, self._begin + self._at
         if self._room is not None:
             self._room[self._at : whole] = 0
-            self._send(whole)
+            self._send(self._room, whole)
         self._wait(0)
         self._file.truncate(size)
 
-    def _send(self, count: int) -> None:
-        """Hand the next part of so many bytes to the disk."""
-        given = self._room, count, self._begin
+    def _send(self, room: np.ndarray, count: int) -> None:
+        """Hand the next part, of so many bytes, to the disk."""
+        given = room, count, self._begin
         self._room, self._at, self._begin = None, 0, self._begin + count
         if not self._parts:
             self._put(*given)

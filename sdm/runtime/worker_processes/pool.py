@@ -53,9 +53,7 @@ class WorkerProcesses:
     They end with this process, however that ends. An interrupt from the terminal is this process's alone.
     """
 
-    def __init__(
-        self, function: str, count: int, *, calls: int = 1, shared: Sequence[SharedMemory] = ()
-    ) -> None:
+    def __init__(self, function: str, count: int, *, calls: int = 1, shared: Sequence[SharedMemory] = ()) -> None:
         self._workers: list[_Worker] = []
         self._idle, self._lock = threading.Semaphore(count * calls), threading.Lock()
         self._shared = shared

@@ -42,7 +42,7 @@ def _answer(link: Connection, function: Callable[..., Any], given: tuple[Any, ..
         answer = error, None
     try:
         link.send(answer)
-    except BaseException:
+    except BaseException:  # noqa: BLE001
         # Whoever asked would wait for ever.
         traceback.print_exc()
         os._exit(1)

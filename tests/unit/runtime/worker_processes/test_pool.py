@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -41,6 +42,18 @@ def process(seconds: float) -> int:
     return os.getpid()
 
 
+BOTH = threading.Barrier(2)
+
+
+def meet() -> int:
+    BOTH.wait(60)
+    return os.getpid()
+
+
+def unsayable() -> threading.Lock:
+    return threading.Lock()
+
+
 @pytest.fixture(autouse=True)
 def importable(monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
@@ -71,6 +84,21 @@ def test_of_shared_arrays_little_is_sent():
 def test_calls_of_several_threads_go_to_several_processes():
     with WorkerProcesses(f"{HERE}:process", 2) as workers, ThreadPoolExecutor(2) as threads:
         assert len(set(threads.map(workers.call, (0.3, 0.3)))) == 2
+
+
+def test_a_process_does_several_calls_beside_each_other():
+    with WorkerProcesses(f"{HERE}:meet", 1, calls=2) as workers, ThreadPoolExecutor(4) as threads:
+        assert len({call.result() for call in [threads.submit(workers.call) for _ in range(4)]}) == 1
+
+
+def test_calls_go_to_who_has_least_to_do():
+    with WorkerProcesses(f"{HERE}:process", 2, calls=2) as workers, ThreadPoolExecutor(2) as threads:
+        assert len(set(threads.map(workers.call, (0.3, 0.3)))) == 2
+
+
+def test_an_answer_that_cannot_be_sent_is_not_waited_for():
+    with WorkerProcesses(f"{HERE}:unsayable", 1) as workers, pytest.raises(SDMError, match="a worker process died"):
+        workers.call()
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), FormatError("no map")], ids=str)
