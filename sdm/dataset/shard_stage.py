@@ -29,8 +29,8 @@ from sdm.runtime.worker_processes.shared_memory import SharedMemory, can_share
 THREADS = 6
 # Processes, and cores that each has: one compresses while another hashes, gathers and writes.
 PROCESSES, CORES = 8, 2
-# Shards that a process writes at a time: while it waits for the flushes of one, the disk would have nothing of it. Those
-# of all processes end together, as a commit of the file system's journal ends them.
+# Shards that a process writes at a time: while it waits for flushes of one, the disk would have nothing of it. Those of
+# all processes end together, as a commit of the file system's journal ends them.
 CALLS = 2
 # Shards of a GPU that are made while all writers are busy, so that none of them waits for the next one.
 READY = 2
