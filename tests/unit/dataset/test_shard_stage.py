@@ -66,16 +66,16 @@ def test_one_that_is_killed_is_said_and_loses_what_it_had(tmp_path, monkeypatch,
                 worker.process.kill()
 
     with pytest.raises(SDMError, match=r"a worker process died \(exit code -9\); --resume goes on from there"):
-        write(target, 59, progress=kill)
+        write(target, 99, progress=kill)
     part = layout.part_of(target)
     manifest = read_manifest(part)
-    done = [n for n in range(30) if layout.is_done(part, manifest, n)]
-    assert 0 < len(done) < 30
+    done = [n for n in range(50) if layout.is_done(part, manifest, n)]
+    assert 0 < len(done) < 50
     assert all(layout.is_sound(part, manifest, n) for n in done)
     # Small files that one was writing go when the dataset is finished.
     assert not [left for left in part.rglob("*.part") if left.is_dir()]
     monkeypatch.undo()
-    assert contents(write(target, 59, resume=True)) == contents(write(tmp_path / "whole.zarr", 59))
+    assert contents(write(target, 99, resume=True)) == contents(write(tmp_path / "whole.zarr", 99))
     assert not list(target.rglob(".*.part"))
 
 
@@ -84,10 +84,10 @@ def test_a_disk_that_cannot_be_written_is_said(tmp_path, started):
 
     def in_the_way(done: int, total: int) -> None:
         if done:
-            (layout.part_of(target) / "sdm/c/5").touch()
+            (layout.part_of(target) / "sdm/c/49").touch()
 
     with pytest.raises(FormatError, match=f"{os.strerror(errno.EEXIST)}|{os.strerror(errno.ENOTDIR)}; --resume"):
-        write(target, progress=in_the_way)
+        write(target, 99, progress=in_the_way)
 
 
 def test_an_interrupt_leaves_no_process(tmp_path):
