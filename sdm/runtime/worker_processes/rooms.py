@@ -18,7 +18,7 @@ from sdm.runtime.worker_processes.shared_memory import SharedMemory
 
 # The system hands out fresh memory page by page as it is first touched, which takes longer than to pin it, and takes it
 # back as slowly.
-THREADS, PAGE = 8, 1 << 12
+THREADS, PAGE = 4, 1 << 12
 # Bytes that a thread touches at a time, so that the first room is there soon.
 TOUCHED = 1 << 25
 
