@@ -80,10 +80,7 @@ class FoldedNetwork:
         middle = cast("list[nn.Conv3d]", list(model.middle))
         self._middle = [(_beside(layer.weight), cast("Tensor", layer.bias)) for layer in middle]
         self._pointwise = None if model.pointwise is None else _columns(model.pointwise, dtype)
-        # By the layer whose outputs they take.
-        last = _columns(model.last, dtype)
-        ends = range(self.channels, len(last), self.channels)[: len(middle) + 1]
-        self._last = last.tensor_split(tuple(ends))
+        self._last = _columns(model.last, dtype)
 
     @torch.inference_mode()
     def __call__(self, theta: Tensor) -> Tensor:
@@ -144,13 +141,10 @@ class FoldedNetwork:
             x = new.add_(x) if self._pointwise is None else new
             kept.append(x)
         if self._pointwise is None:
-            added = found[:, self.channels :]
-            return torch.addmm(added, x, self._last[0])
+            return torch.addmm(found[:, self.channels :], x, self._last)
         kept.append(nn.functional.leaky_relu_(x @ self._pointwise, LEAK))
-        corrections = kept[0] @ self._last[0]
-        for part, weight in zip(kept[1:], self._last[1:], strict=True):
-            corrections.addmm_(part, weight)
-        return corrections
+        # One product, whose sums are rounded once.
+        return torch.cat(kept, 1) @ self._last
 
 
 class _Modes:

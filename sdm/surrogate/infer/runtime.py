@@ -41,8 +41,8 @@ def runner(model: nn.Module, backend: str | None = None, threads: int | None = N
         threads: Cores to use; all of this process by default. The backend "torch" uses as many as
             `torch.set_num_threads` has set, whatever is given here, and one for SDMNN+ in bfloat16.
         bfloat16: Let torch and OpenVINO work out the refinement of SDMNN+ in bfloat16 where the processor has it: by
-            torch in half of the time, and within 0.005 mm of float32 (0.0001 mm in the mean by torch, 0.0002 by
-            OpenVINO; the network's own error is 0.004).
+            torch in half of the time, and within 0.01 mm of float32 (0.0002 mm in the mean; the network's own error
+            is 0.003).
 
     Raises:
         SDMError: The backend is not there.
