@@ -29,7 +29,7 @@ COMPONENT_STEPS = 15
 # Steps of expectation-maximisation for the intensities of a whole code.
 EM_STEPS = 10
 # Points that are fitted at most: a step's work grows with their square.
-MOST_POINTS = 3000
+MOST_POINTS = 2000
 
 
 @dataclass(frozen=True, eq=False)

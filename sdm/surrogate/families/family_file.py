@@ -104,7 +104,7 @@ def load_family_surrogate(folder: Path) -> tuple[LowRankSurrogate, Grid, dict[st
     from safetensors import SafetensorError
     from safetensors.torch import load
 
-    if folder.name in (WEIGHTS, RECORD) and folder.is_file():
+    if folder.name in (WEIGHTS, RECORD) and not folder.is_dir():
         raise FormatError(f"{folder} is a file of a surrogate: give the folder that it is in, {folder.parent}")
     if folder.is_file():
         raise FormatError(f"{folder} is a file: give the folder that sdm train sdmnn --family wrote")

@@ -78,6 +78,7 @@ def test_predict_takes_parameters_by_name(place, tmp_path, capsys):
         ("--model run --set a=1.5 a=1.5 b=1 c=1", "'a=1.5' is there twice"),
         ("--model nowhere --set a=1", "cannot be read"),
         ("--model run/surrogate.safetensors --set a=1", "is a file of a surrogate: give the folder that it is in, run"),
+        ("--model no/surrogate.safetensors --set a=1", "is a file of a surrogate: give the folder that it is in, no"),
         ("--model run/surrogate.json --set a=1", "is a file of a surrogate: give the folder that it is in, run"),
         ("--model damaged --set a=1", "is no surrogate"),
         ("--model run --exact --set a=1", "--exact computes the map without a network"),
