@@ -29,9 +29,9 @@ from sdm.runtime.worker_processes.shared_memory import SharedMemory, can_share
 THREADS = 6
 # Processes, and cores that each has: one compresses while another hashes, gathers and writes.
 PROCESSES, CORES = 8, 2
-# Shards that a process has at a time: while it waits for flushes of some, it writes the next one. Otherwise the disk
-# would have nothing of it; and those of all processes end together, as commits of the file system's journal end them.
-CALLS = 3
+# Shards that a process writes at a time: while it waits for flushes of one, the disk would have nothing of it. Those of
+# all processes end together, as a commit of the file system's journal ends them.
+CALLS = 2
 # Shards of a GPU that are made while all writers are busy, so that none of them waits for the next one.
 READY = 2
 
@@ -114,25 +114,21 @@ def process_writers(
     """Writers that are processes of their own."""
     dtype, shape = np.dtype(manifest["recipe"]["dtype"]), manifest["recipe"]["grid"]["shape"]
     size = manifest["shard"] * math.prod(shape) * dtype.itemsize
+    # As many as there is memory for: of each process one that is on its way to the disk, of half of them another one.
+    several = count + count // 2
     with (
-        SharedRooms(count + READY, size, device) as rooms,
+        SharedRooms(several, size, device) as rooms,
         WorkerProcesses("sdm.dataset.shard_writer:write_alone", count, calls=CALLS, shared=rooms.all) as workers,
     ):
 
         def write(shard: Shard) -> None:
-            held = [] if shard.memory is None else [shard.memory]
-
-            def give(_: None = None) -> None:
-                if held:
-                    rooms.give(held.pop())
-
             try:
                 maps = shard.maps.wait()
-                given = folder, manifest, shard.number, shard.theta, shard.transform, maps, scratch, CORES
-                workers.call(*given, told=give)
+                workers.call(folder, manifest, shard.number, shard.theta, shard.transform, maps, scratch, CORES)
             finally:
                 # Of one that failed too, or whoever makes the next would wait for it.
-                give()
+                if shard.memory is not None:
+                    rooms.give(shard.memory)
 
-        # Whoever has no memory any more takes no room: it is flushed, or waits for one before it.
-        yield ShardWriters(CALLS * count, 2 * CALLS * count, rooms.take, write)
+        # Those that are written wait for one before them, which takes no memory.
+        yield ShardWriters(several, 2 * several, rooms.take, write)

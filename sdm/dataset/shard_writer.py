@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import deque
-from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -43,7 +41,22 @@ def write_shard(
         scratch: A folder on the same disk that nobody else uses.
         pool: Threads that compress.
     """
-    deque(_written(folder, manifest, number, theta, transform, maps, scratch, pool), maxlen=0)
+    files = dict(zip(arrays_of(manifest), files_of(folder, manifest, number), strict=True))
+    rows = {"theta": theta} if transform is None else {"theta": theta, "transform": transform}
+    digest = hashlib.sha256()
+    for name, values in rows.items():
+        content = rows_content(values, manifest, DTYPES[name])
+        digest.update(content)
+        put(files[name], content)
+    # Under another name until it is whole; its file then takes its place in the dataset.
+    part = scratch / str(number)
+    with DirectFile(part, maps.nbytes) as file:
+        for pieces in maps_content(maps, manifest, pool):
+            for piece in pieces:
+                digest.update(piece)
+            file.write_all(pieces)
+    put(files["sdm"], part)
+    put(checksum_file(folder, number), digest.digest())
 
 
 def write_alone(
@@ -55,41 +68,9 @@ def write_alone(
     maps: np.ndarray,
     scratch: Path,
     threads: int,
-) -> Iterator[None]:
-    """Write a shard in a process that does nothing else, with so many threads that compress; see `write_shard`.
-
-    Says once that the maps' memory is free, while the files are still on their way to the disk.
-    """
-    yield from _written(folder, manifest, number, theta, transform, maps, scratch, _pool(threads))
-
-
-def _written(
-    folder: Path,
-    manifest: dict[str, Any],
-    number: int,
-    theta: np.ndarray,
-    transform: np.ndarray | None,
-    maps: np.ndarray,
-    scratch: Path,
-    pool: Executor,
-) -> Iterator[None]:
-    files = dict(zip(arrays_of(manifest), files_of(folder, manifest, number), strict=True))
-    rows = {"theta": theta} if transform is None else {"theta": theta, "transform": transform}
-    contents = {name: rows_content(values, manifest, DTYPES[name]) for name, values in rows.items()}
-    digest = hashlib.sha256(b"".join(contents.values()))
-    # Under another name until it is whole; its file then takes its place in the dataset.
-    part = scratch / str(number)
-    with DirectFile(part, maps.nbytes) as file:
-        for pieces in maps_content(maps, manifest, pool):
-            for piece in pieces:
-                digest.update(piece)
-            file.write_all(pieces)
-        yield
-    # All flushes here, where the next shard is on its way already.
-    for name, content in contents.items():
-        put(files[name], content)
-    put(files["sdm"], part)
-    put(checksum_file(folder, number), digest.digest())
+) -> None:
+    """Write a shard in a process that does nothing else, with so many threads that compress; see `write_shard`."""
+    write_shard(folder, manifest, number, theta, transform, maps, scratch, _pool(threads))
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import Told, tell
-from sdm.cli.maps.map_writers import CALLS, map_writers, writing_processes
+from sdm.cli.maps.map_writers import map_writers, writing_processes
 from sdm.cli.maps.work import MapTask, Written
 from sdm.core.device import choose_device
 from sdm.io.files.stand_in import StandIn, adopt
@@ -56,11 +56,9 @@ def maps_told(
     )
     most = TOGETHER if settings.device.type == "cuda" else 1
     with ExitStack() as stack:
-        # A thread for each map that processes have at a time, and as many maps that are made as one call makes, twice.
-        calls = CALLS * writers
-        beside = stack.enter_context(map_writers(writers, settings, calls + 2 * most)) if writers else None
+        beside = stack.enter_context(map_writers(writers, settings, 2 * writers + most)) if writers else None
         stages = MapStages(settings, progress, alone=single, writers=beside)
-        written = _written(tasks, count, settings, stages, readers, calls or threads, most, single, times)
+        written = _written(tasks, count, settings, stages, readers, writers or threads, most, single, times)
         for number, task, outcome in stack.enter_context(closing(written)):
             if isinstance(outcome, Failed) and isinstance(outcome.error, WorkerError):
                 raise outcome.error

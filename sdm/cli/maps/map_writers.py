@@ -25,8 +25,6 @@ from sdm.runtime.worker_processes.shared_memory import can_share
 T = TypeVar("T")
 # Cores and maps for which it is worth starting processes.
 LEAST_CORES, LEAST_MAPS = 4, 32
-# Maps that a process has at a time: while it waits for flushes of one, it packs the next.
-CALLS = 2
 # A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
 LARGEST_BESIDE = 1 << 28
 
@@ -65,7 +63,7 @@ def map_writers(count: int, settings: Settings, most: int) -> Iterator[MapWriter
     several = max(count, min(most, MOST_BYTES // size))
     with (
         SharedRooms(several, size, settings.device) as rooms,
-        WorkerProcesses(WRITE, count, calls=CALLS, shared=rooms.all) as workers,
+        WorkerProcesses(WRITE, count, shared=rooms.all) as workers,
     ):
         yield MapWriters(workers, rooms)
 

@@ -7,14 +7,13 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from sdm.errors import SDMError
-from sdm.runtime.worker_processes.serve import TOLD
 from sdm.runtime.worker_processes.shared_memory import SharedMemory, packed
 
 # Before anything is imported, the places where this process finds what it imports.
@@ -77,12 +76,8 @@ class WorkerProcesses:
     ) -> None:
         self.close()
 
-    def call(self, *given: Any, told: Callable[[Any], None] = lambda _: None) -> Any:
+    def call(self, *given: Any) -> Any:
         """Do a call in the process that has the least to do, and return its value. Safe to use from several threads.
-
-        Args:
-            given: Of the function.
-            told: Called with each value that it yields, where it is a generator.
 
         Raises:
             WorkerError: The process died, whose work nobody else takes.
@@ -94,9 +89,7 @@ class WorkerProcesses:
                 link = worker.idle.pop()
             try:
                 link.send_bytes(packed(given, self._shared))
-                while (answer := link.recv())[0] == TOLD:
-                    told(answer[1])
-                error, value = answer
+                error, value = link.recv()
             except (EOFError, OSError):
                 code = worker.process.wait()
                 raise WorkerError(f"a worker process died (exit code {code}); --resume goes on from there") from None

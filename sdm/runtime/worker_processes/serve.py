@@ -7,14 +7,11 @@ import pickle
 import queue
 import threading
 import traceback
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
-
-# In place of an error, of an answer that is not the last.
-TOLD = "told"
 
 
 def serve(links: Sequence[Connection]) -> None:
@@ -39,7 +36,7 @@ def serve(links: Sequence[Connection]) -> None:
 
 def _answer(link: Connection, function: Callable[..., Any], given: tuple[Any, ...]) -> None:
     try:
-        answer = None, _told(link, function(*given))
+        answer = None, function(*given)
     # Whoever asked raises it.
     except Exception as error:  # noqa: BLE001
         answer = error, None
@@ -49,15 +46,6 @@ def _answer(link: Connection, function: Callable[..., Any], given: tuple[Any, ..
         # Whoever asked would wait for ever.
         traceback.print_exc()
         os._exit(1)
-
-
-def _told(link: Connection, found: Any) -> Any:
-    """What a function has returned; of a generator each thing it yields is told on its way."""
-    if not isinstance(found, Generator):
-        return found
-    for value in found:
-        link.send((TOLD, value))
-    return None
 
 
 def _listen(link: Connection, told: queue.SimpleQueue[tuple[Connection, bytes]]) -> None:

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -49,12 +48,6 @@ BOTH = threading.Barrier(2)
 def meet() -> int:
     BOTH.wait(60)
     return os.getpid()
-
-
-def counts(end: int) -> Iterator[int]:
-    yield from range(end)
-    if end == 3:
-        raise FormatError("no map")
 
 
 def unsayable() -> threading.Lock:
@@ -103,15 +96,6 @@ def test_calls_go_to_who_has_least_to_do():
         assert len(set(threads.map(workers.call, (0.3, 0.3)))) == 2
 
 
-def test_a_generator_tells_on_its_way():
-    with WorkerProcesses(f"{HERE}:counts", 1) as workers:
-        found: list[int] = []
-        assert workers.call(2, told=found.append) is None
-        with pytest.raises(FormatError, match="no map"):
-            workers.call(3, told=found.append)
-        assert found == [0, 1, 0, 1, 2]
-
-
 def test_an_answer_that_cannot_be_sent_is_not_waited_for():
     with WorkerProcesses(f"{HERE}:unsayable", 1) as workers, pytest.raises(SDMError, match="a worker process died"):
         workers.call()
@@ -142,7 +126,6 @@ def test_none_is_left_after_the_block():
 
 STARTS = f"""
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from sdm.runtime.worker_processes.pool import WorkerProcesses
 with WorkerProcesses("{HERE}:process", 2) as workers, ThreadPoolExecutor(2) as threads:
