@@ -8,6 +8,7 @@ import warp as wp
 
 from sdm.kernels.winding.all_caps import cap_sum
 from sdm.kernels.winding.near_caps import FULL, NEAR_LIST, near_sum
+from tests.helpers.winding.cap_balls import exact_shares
 
 
 @wp.kernel
@@ -22,14 +23,6 @@ def _sums(
     i = wp.tid()
     alone[i] = cap_sum(corners, 0, count, points[i], 0, 1)
     product[i] = near_sum(corners, count, True, points[i], listed, NEAR_LIST, 0, 1, 1) / FULL
-
-
-def exact(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    a, b, c = (corners[None, :, n].astype(float) - points[:, None].astype(float) for n in range(3))
-    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
-    v = (a * np.cross(b, c)).sum(-1)
-    f = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    return 2 * np.arctan2(v, f).sum(1) / FULL
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.02, 0.3, 3.0])
@@ -57,7 +50,7 @@ def test_within_the_bound(size):
         wp.array(listed, device="cpu"),
     ]
     wp.launch(_sums, len(points), [*inputs, alone, product], device="cpu")
-    truth = exact(corners[:, :3], points)
+    truth = exact_shares(corners[:, :3], points)
     for found in (alone.numpy(), product.numpy()):
         share, error = found.T
         known = np.isfinite(error)

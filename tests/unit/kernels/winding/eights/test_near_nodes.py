@@ -30,6 +30,7 @@ from sdm.kernels.winding.eights.node_table import (
     TO_VOXELS,
     pack_nodes,
 )
+from tests.helpers.winding.cap_balls import exact_shares
 
 _HAND_DOWN, _HANDED, _LISTED = (wp.constant(number) for number in (HAND_DOWN, HANDED, LISTED))
 FULL = 4 * np.pi
@@ -81,16 +82,6 @@ def _shares(
         found[i, k, 1] = wp.float64(doubt(field) + angles[8 + k] / FULL)
 
 
-def _exact(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Solid angles of triangles (N, 3, 3) seen from points (P, 3), over a full one, in float64."""
-    ways = corners[None] - points[:, None, None]
-    a, b, c = np.moveaxis(ways, 2, 0)
-    la, lb, lc = (np.linalg.norm(each, axis=2) for each in (a, b, c))
-    v = (a * np.cross(b, c)).sum(2)
-    f = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-    return 2 * np.arctan2(v, f).sum(1) / FULL
-
-
 @pytest.mark.parametrize("mode", [MIXED, TO_VOXELS])
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-5])
 @pytest.mark.parametrize(
@@ -121,7 +112,7 @@ def test_shares_are_right_within_their_errors(mesh, tolerance, mode):
     nodes = caps.moments.size // MOMENTS_SIZE
     rows = wp.zeros(ROW * nodes, dtype=wp.float32, device="cpu")
     wp.launch(pack_nodes, nodes, inputs=[0, caps.moments, rows], device="cpu")
-    exact = np.stack([_exact(corners, p) for p in points.astype(np.float64)])
+    exact = np.stack([exact_shares(corners, p) for p in points.astype(np.float64)])
     for handed_down in (0, 1):
         found = wp.zeros((count, 8, 2), dtype=wp.float64, device="cpu")
         given = [wp.array(balls, dtype=wp.vec4, device="cpu"), wp.array(points, dtype=wp.vec3, device="cpu")]

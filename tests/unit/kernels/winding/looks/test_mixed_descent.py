@@ -8,8 +8,6 @@ import pytest
 import torch
 import warp as wp
 
-from sdm.bench.common.dirty_meshes.by_code import boxes, half_spheres, loose, torn, turned
-from sdm.bench.common.meshes import torus
 from sdm.engine.acceleration import build
 from sdm.kernels.bvh.tree import SCALE, tree_of
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
@@ -19,6 +17,7 @@ from sdm.kernels.winding.looks.mixed_descent import END, NODES, ROOM, look_close
 from sdm.kernels.winding.looks.near_pair import near_pair
 from sdm.kernels.winding.looks.node_sum import node_sum
 from sdm.kernels.winding.near_caps import FULL
+from tests.helpers.winding.cap_balls import MESHES, balls_among, exact_shares
 
 
 @wp.kernel(enable_backward=False)
@@ -51,24 +50,6 @@ def _shares(
         found[i, k + 1, 1] = wp.float64(doubt(seen.field) + near[3] / FULL)
 
 
-def exact(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Solid angles of triangles (N, 3, 3) seen from points (P, 3), over a full one, in float64."""
-    a, b, c = np.moveaxis(corners[None] - points[:, None, None], 2, 0)
-    la, lb, lc = (np.linalg.norm(each, axis=2) for each in (a, b, c))
-    v = (a * np.cross(b, c)).sum(2)
-    f = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-    return (2 * np.arctan2(v, f)).sum(1) / FULL
-
-
-MESHES = {
-    "torn": lambda: torn(torus(2000), 0.3),
-    "turned": lambda: turned(torus(2000), 0.5),
-    "loose": lambda: loose(torus(2000), 0.01),
-    "half spheres": lambda: half_spheres(60, 8),
-    "boxes": lambda: boxes(60),
-}
-
-
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 3e-7])
 @pytest.mark.parametrize("name", MESHES)
 def test_within_the_error(name, tolerance):
@@ -81,12 +62,7 @@ def test_within_the_error(name, tolerance):
     rng = np.random.default_rng(3)
     count, voxels = 300, 8
     low, high = scale * vertices.min(0), scale * vertices.max(0)
-    radius = (high - low).max() * 10.0 ** rng.uniform(-3, -1.3, count)
-    centres = rng.uniform(low, high, (count, 3))
-    centres[::2] = corners[rng.integers(0, len(corners), count // 2)].mean(1)
-    ways = rng.normal(size=(count, voxels, 3))
-    ways *= rng.uniform(0, 0.999, (count, voxels, 1)) / np.linalg.norm(ways, axis=2, keepdims=True)
-    points = (centres[:, None] + radius[:, None, None] * ways).astype(np.float32)
+    centres, radius, points = balls_among(corners, low, high, count, voxels, rng)
     centres = centres.astype(np.float32)
     stacks = wp.zeros(count * LARGE_STACK_ON_CPU, dtype=int, device="cpu")
     found = wp.zeros((count, voxels, 2), dtype=wp.float64, device="cpu")
@@ -97,7 +73,7 @@ def test_within_the_error(name, tolerance):
     wp.launch(_shares, count, inputs, device="cpu")
     share, error = np.moveaxis(found.numpy(), 2, 0)
     known = np.isfinite(error)
-    truth = exact(corners.astype(float), points.reshape(-1, 3).astype(float)).reshape(count, voxels)
+    truth = exact_shares(corners, points.reshape(-1, 3)).reshape(count, voxels)
     assert known.mean() > 0.5
     # As `is_sure` has it, what float32 adds in the end.
     assert (np.abs(share - truth) <= error + 2e-6 + 1e-6 * np.abs(truth))[known].all()

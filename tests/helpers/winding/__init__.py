@@ -1,0 +1,1 @@
+"""Caps of the winding number, for the tests of its kernels."""
