@@ -17,6 +17,8 @@ ROOM = 4 * BLOCK
 def small(monkeypatch, request):
     """A buffer of a few blocks, and no file too small; written by the caller, or by another thread."""
     monkeypatch.setattr(direct_file, "ROOM", ROOM)
+    # Memory that is used again, of this size: none may be left for whoever writes next in this process.
+    monkeypatch.setattr(direct_file, "_spare", [])
     monkeypatch.setattr(direct_file, "LEAST", 0)
     monkeypatch.setattr(direct_file, "LEAST_BESIDE", 0 if request.param else 1 << 40)
 
