@@ -21,7 +21,8 @@ class BlobDecoder(nn.Module):
         random = torch.Generator().manual_seed(0)
         towards = torch.randn(NUMBERS, 3, generator=random)
         self.towards = torch.nn.functional.normalize(towards, dim=1)
-        self.code_size = NUMBERS
+        self.code_size = self.global_size = NUMBERS
+        self.grids, self.firsts = (), []
 
     def forward(self, codes: Tensor, points: Tensor) -> Tensor:
         return self.decode(self.seen(codes, points), points)
@@ -31,6 +32,9 @@ class BlobDecoder(nn.Module):
 
     def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         return by_seen[0]
+
+    def corners(self, points: Tensor) -> list[tuple[Tensor, Tensor]]:
+        return []
 
     def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         far = points.square().sum(-1).add(1e-6).sqrt()

@@ -1,27 +1,30 @@
-"""Gauss-Newton steps on a whole code with size and pose, matrix-free: codes have thousands of numbers.
+"""Gauss-Newton steps on a whole code with size and pose, which has thousands of numbers.
 
 The unknowns are standard ones: the code in coordinates in which those of the training shapes are a standard Gaussian
 (`CodeGaussian`), and the increments of log size, rotation and translation in standard deviations of their priors. A
 distance depends on a code by what its point sees of it, which is linear in the code (`seen` of the decoders), so one
-pass back through the network gives all derivatives, and products with them are those of a sparse matrix.
+pass back through the network gives all derivatives, and products with them are those of a sparse matrix (`CodeRows`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from sdm.deepsdf.infer.code_rows import CodeRows
 from sdm.deepsdf.infer.fit_backend import POINTS, DeepSDFBackend, directions
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
+from sdm.deepsdf.networks.decoders import Decoder
 from sdm.fit.model.pose import State, vector_from_rotation
 from sdm.runtime.threads import threads
 
-# Steps of conjugate gradients for a step, and the share of the residual at which they end.
-SOLVES, ACCURACY = 250, 1e-2
+# Steps of conjugate gradients at most, and the share of the residual, in the given inverse's norm, at which they end.
+SOLVES, ACCURACY = 250, 1e-3
 # Variance of what the training's codes leave open, as a share of theirs: a shape that was left out is half outside.
 OPEN = 1.0
 # Deviations of log size and rotation about the start: a whole code has sizes and turns of its own, and would drift.
@@ -54,6 +57,7 @@ class Slopes:
         by_seen: (N,E) by each part of what the points see of the code.
         similar: (N,7) by log size, rotation and translation.
         outward: (N,3) float64 unit gradients in the world.
+        decoder: Of the network.
     """
 
     values: Tensor
@@ -61,6 +65,12 @@ class Slopes:
     by_seen: tuple[Tensor, ...]
     similar: Tensor
     outward: Tensor
+    decoder: Decoder
+
+    @cached_property
+    def rows(self) -> CodeRows:
+        """Derivatives by the code."""
+        return CodeRows(self.decoder, self.by_seen, self.points)
 
 
 class CodeUnknowns:
@@ -79,6 +89,7 @@ class CodeUnknowns:
         self.gaussian = CodeGaussian(model.codes, model.settings.code_deviation**2, share)
         self.deviations = deviations.to(model.device, torch.float64)
         away = backend.code(start.theta) - self.gaussian.mean
+        self._bound = model.settings.code_bound
         self.start = WholeCode(self.gaussian.standard(away).double(), replace(start, theta=start.theta[:1]))
 
     def code(self, at: WholeCode) -> Tensor:
@@ -122,50 +133,47 @@ class CodeUnknowns:
         by_size = values - (inside * by_point).sum(1)
         similar = at.state.chain(inside, by_size[:, None], by_point) * self.deviations
         outward = normalize(by_point @ at.state.rotation.T, dim=1)
-        return Slopes(values, unit.float().clamp(-1, 1), by_seen, similar, outward)
+        decoder = self.backend.model.decoder
+        return Slopes(values, unit.float().clamp(-1, 1), by_seen, similar, outward, decoder)
 
     def rows(self, slopes: Slopes, at: WholeCode) -> Tensor:
         """Derivatives (N,D) float32 by the code itself: what `forward` multiplies, for few points."""
         found = self.backend.model.decoder.rows(slopes.by_seen, slopes.points)
-        return directions(found, self.code(at), self.backend.model.settings.code_bound)
+        return directions(found, self.code(at), self._bound)
 
     def forward(self, slopes: Slopes, at: WholeCode, step: Tensor) -> Tensor:
         """Changes (N,) float64 of the distances with a step (D+7,)."""
-        along = self.gaussian.spread(step[:-7].float())[None]
-        with torch.no_grad(), threads(self.backend.threads):
-            along = directions(along, self.code(at), self.backend.model.settings.code_bound)
-            seen = self.backend.model.decoder.seen(along, slopes.points[None])
-            by_code = sum((by * part[0]).sum(1) for by, part in zip(slopes.by_seen, seen, strict=True))
+        with threads(self.backend.threads):
+            along = directions(self.gaussian.spread(step[:-7].float())[None], self.code(at), self._bound)
+            by_code = slopes.rows.forward(along[0])
         return by_code + slopes.similar @ step[-7:]
 
     def backward(self, slopes: Slopes, at: WholeCode, pull: Tensor) -> Tensor:
         """The transpose of `forward`: (N,) to (D+7,)."""
-        bound = self.backend.model.settings.code_bound
         with threads(self.backend.threads):
-            zero = torch.zeros(1, len(at.standard), device=pull.device, requires_grad=True)
-            with torch.enable_grad():
-                seen = self.backend.model.decoder.seen(zero, slopes.points[None])
-                whole = [part.expand(1, len(pull), -1) for part in seen]
-            weights = [(by * pull.float()[:, None])[None] for by in slopes.by_seen]
-            (by_code,) = torch.autograd.grad(whole, zero, weights)
+            by_code = slopes.rows.backward(pull.float())[None]
             # The projection onto the bounded codes' sphere is symmetric.
-            by_code = self.gaussian.spread(directions(by_code, self.code(at), bound)[0])
+            by_code = self.gaussian.spread(directions(by_code, self.code(at), self._bound)[0])
         return torch.cat([by_code.double(), slopes.similar.T @ pull])
 
 
-def conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor) -> Tensor:
-    """The solution of a symmetric positive system, nearly."""
+def conjugate_gradients(
+    product: Callable[[Tensor], Tensor], right: Tensor, near_inverse: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """The solution of a symmetric positive system, nearly; sooner, the nearer a given inverse is."""
     x, r = torch.zeros_like(right), right
-    p, rr = r, (r * r).sum()
-    enough = ACCURACY**2 * rr
+    p = z = near_inverse(r)
+    rz = (r * z).sum()
+    enough = ACCURACY**2 * rz
     for _ in range(SOLVES):
         image = product(p)
-        step = rr / (p * image).sum().clamp_min(1e-300)
+        step = rz / (p * image).sum().clamp_min(1e-300)
         x, r = x + step * p, r - step * image
-        new = (r * r).sum()
+        z = near_inverse(r)
+        new = (r * z).sum()
         if float(new) < float(enough):
             break
-        p, rr = r + new / rr.clamp_min(1e-300) * p, new
+        p, rz = z + new / rz.clamp_min(1e-300) * p, new
     return x
 
 
@@ -189,6 +197,7 @@ class Evenness:
         """Minus the log density, but for a constant."""
         return 0.5 * float(self.residual.square().sum()) / SLOPE**2
 
+    @cached_property
     def rows(self) -> tuple[Tensor, Tensor]:
         """Derivatives (M,D) float32 by the code and (M,7) by the others."""
         one, other = (self.unknowns.rows(end, self.at) for end in self.ends)
@@ -196,13 +205,14 @@ class Evenness:
 
     def forward(self, step: Tensor) -> Tensor:
         """Changes (M,) with a step (D+7,)."""
-        one, other = (self.unknowns.forward(end, self.at, step) for end in self.ends)
-        return (one - other) / (2 * self.way)
+        by_code, similar = self.rows
+        return (by_code @ self.unknowns.gaussian.spread(step[:-7].float())).double() + similar @ step[-7:]
 
     def backward(self, pull: Tensor) -> Tensor:
         """The transpose of `forward`."""
-        one, other = (self.unknowns.backward(end, self.at, pull) for end in self.ends)
-        return (one - other) / (2 * self.way)
+        by_code, similar = self.rows
+        along = self.unknowns.gaussian.spread(by_code.T @ pull.float())
+        return torch.cat([along.double(), similar.T @ pull])
 
 
 def prior_deviations(backend: DeepSDFBackend) -> Tensor:

@@ -22,11 +22,13 @@ from sdm.deepsdf.infer.code_steps import (
 )
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.deepsdf.infer.isosurface import decode_mesh
+from sdm.deepsdf.infer.near_inverse import NearInverse
 from sdm.deepsdf.samples import UnitSphere
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
 from sdm.fit.solve.fit_shape import FitOptions, image_tensor, renderer_of
+from sdm.runtime.threads import threads
 
 # Where the start explains less than this of its neighbourhood, first lengths of the logistic [voxels] under which a
 # surface is felt that lies some voxels off; steps at each, and at the last.
@@ -235,7 +237,7 @@ class _Image:
 
         even = found.even
         right = weight * backward(found.residual) - even.backward(even.residual) / SLOPE**2 - unknowns.away(at)
-        step = conjugate_gradients(normal, right)
+        step = conjugate_gradients(normal, right, self._near_inverse(at, found, right, forward(right)))
         before = self.objective(at, found, found.noise)
         for _ in range(HALVED):
             moved = unknowns.moved(at, step)
@@ -244,3 +246,13 @@ class _Image:
                 return moved, there
             step = step / 2
         return None
+
+    def _near_inverse(self, at: WholeCode, found: _Rendered, step: Tensor, image: Tensor) -> NearInverse:
+        """Of a step's matrix; a step and its image say how much of changes at sample points is left in an image."""
+        unknowns, slopes = self.unknowns, found.slopes
+        left = image.square().sum() / (found.felt * unknowns.forward(slopes, at, step)).square().sum()
+        by_code, similar = found.even.rows
+        importance = left / found.noise**2 * found.felt.square()
+        even = by_code / SLOPE, similar / SLOPE
+        with threads(unknowns.backend.threads):
+            return NearInverse(unknowns.gaussian, slopes.rows, slopes.similar, importance, even)

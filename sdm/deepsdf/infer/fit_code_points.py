@@ -118,7 +118,7 @@ def _look(unknowns: CodeUnknowns, at: WholeCode, points: Tensor) -> _Seen:
 def _step(unknowns: CodeUnknowns, at: WholeCode, seen: _Seen, noise: float) -> tuple[Tensor, float]:
     """The Gauss-Newton step (D+7,), and how many numbers the points determine."""
     gaussian, values, count = unknowns.gaussian, seen.slopes.values, len(seen.slopes.values)
-    own, others = seen.even.rows()
+    own, others = seen.even.rows
     rows = torch.cat([unknowns.rows(seen.slopes, at), own])
     similar = torch.cat([seen.slopes.similar, others])
     along = rows @ gaussian.axes.T

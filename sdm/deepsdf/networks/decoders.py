@@ -33,7 +33,9 @@ class PublishedDecoder(nn.Module):
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         width, entry = settings.width, settings.global_size + 3
-        self.code_size = settings.global_size
+        self.code_size = self.global_size = settings.global_size
+        self.grids: tuple[tuple[int, int], ...] = ()
+        self.firsts: list[int] = []
         self.dropout = settings.dropout
         inputs = [entry] + [width] * (settings.layers - 1)
         outputs = [width - entry if layer == SKIP - 1 else width for layer in range(settings.layers)]
@@ -51,6 +53,10 @@ class PublishedDecoder(nn.Module):
     def rows(self, by_seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         """Derivatives (N,D) by a code of those (N,E) by what points (N,3) see of it."""
         return by_seen[0]
+
+    def corners(self, points: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """There are no grids."""
+        return []
 
     def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
         """Signed distances (B,N) for what points (B,N,3) see of codes, each part (B,1,E) or (B,N,E)."""
@@ -82,6 +88,9 @@ class LocalDecoder(nn.Module):
         self.code_size = settings.code_size
         self.global_size = settings.global_size
         self.grids = settings.grids
+        # Where each grid begins in a code.
+        sizes = [self.global_size, *(channels * resolution**3 for resolution, channels in self.grids)]
+        self.firsts = list(itertools.accumulate(sizes))[:-1]
         self.frequencies = settings.frequencies
         self.of_point = nn.Linear(3 + 6 * settings.frequencies, width)
         self.of_code = nn.Linear(settings.global_size, width, bias=False)
@@ -109,20 +118,27 @@ class LocalDecoder(nn.Module):
         """Derivatives (N,D) by a code of those (N,E) by what points (N,3) of the box see of it."""
         found = points.new_zeros(len(points), self.code_size)
         found[:, : self.global_size] = by_seen[0]
-        first, column = self.global_size, 0
-        for resolution, channels in self.grids:
+        column = 0
+        for first, (resolution, channels), (nodes, weights) in zip(
+            self.firsts, self.grids, self.corners(points), strict=True
+        ):
+            volume = found[:, first : first + channels * resolution**3].view(len(points), channels, resolution**3)
+            by = by_seen[1][:, column : column + channels]
+            volume.scatter_add_(2, nodes[:, None].expand(-1, channels, -1), by[:, :, None] * weights[:, None])
+            column += channels
+        return found
+
+    def corners(self, points: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """For each grid, numbers (N,8) of the nodes about points (N,3) of the box, and what each of them weighs."""
+        found = []
+        for resolution, _ in self.grids:
             place = (points + 1) * ((resolution - 1) / 2)
             node = place.floor().clamp(0, resolution - 2)
             share = place - node
-            volume = found[:, first : first + channels * resolution**3].view(len(points), channels, resolution**3)
-            by = by_seen[1][:, column : column + channels]
-            for corner in itertools.product((0, 1), repeat=3):
-                up = torch.tensor(corner, device=points.device)
-                weight = torch.where(up == 1, share, 1 - share).prod(1)
-                x, y, z = (node + up).long().unbind(1)
-                at = ((z * resolution + y) * resolution + x)[:, None, None].expand(-1, channels, 1)
-                volume.scatter_add_(2, at, (by * weight[:, None])[:, :, None])
-            first, column = first + channels * resolution**3, column + channels
+            up = torch.tensor(list(itertools.product((0, 1), repeat=3)), device=points.device)
+            weights = torch.where(up == 1, share[:, None], 1 - share[:, None]).prod(2)
+            x, y, z = (node[:, None] + up).long().unbind(2)
+            found.append(((z * resolution + y) * resolution + x, weights))
         return found
 
     def decode(self, seen: tuple[Tensor, ...], points: Tensor) -> Tensor:
@@ -144,12 +160,11 @@ class LocalDecoder(nn.Module):
 
     def _local(self, codes: Tensor, points: Tensor) -> Tensor:
         """Codes (B,N,C) at the points, linear between the nodes; beyond the box those of its face."""
-        start, parts = self.global_size, []
+        parts = []
         where = points[:, None, None]
-        for resolution, channels in self.grids:
-            size = channels * resolution**3
-            volume = codes[:, start : start + size].reshape(-1, channels, resolution, resolution, resolution)
-            start += size
+        for start, (resolution, channels) in zip(self.firsts, self.grids, strict=True):
+            volume = codes[:, start : start + channels * resolution**3]
+            volume = volume.reshape(-1, channels, resolution, resolution, resolution)
             parts.append(grid_sample(volume, where, align_corners=True, padding_mode="border")[:, :, 0, 0])
         return torch.cat(parts, 1).transpose(1, 2)
 
