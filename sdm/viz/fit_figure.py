@@ -17,7 +17,6 @@ from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
 from sdm.fit.model.pose import State
 from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
-from sdm.io.meshes.write import save_mesh
 from sdm.shapes import Family, make_family
 from sdm.viz.style import OCHRE, STYLE, SURFACE_LINE, colour_map
 
@@ -56,11 +55,6 @@ def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
     vertices, jacobian = vertices_with_jacobian(family, theta)
     normals = vertex_normals(vertices, family.faces_on(theta.device).to(torch.int64))
     return result.posterior.surface_deviation(vertices, jacobian, normals)
-
-
-def write_surface(backend: Backend, result: FitResult, path: Path) -> None:
-    """Write the fitted surface, in the format that the name ends with; atomic."""
-    save_mesh(surface_of(backend, result), path)
 
 
 def draw_fit(

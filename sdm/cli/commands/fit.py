@@ -82,7 +82,7 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
-    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
+    from sdm.cli.common.fit_report import FitFiles, write_fit
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.progress import StageProgress
     from sdm.errors import SDMError
@@ -93,6 +93,7 @@ def fit(
     refuse_inputs([out, mesh, picture, residuals, free_form], [image, weights])
     _check_targets(out, [mesh, free_form], picture, residuals)
     _check_formation(estimate_formation, model, components)
+    files = FitFiles(out, mesh, picture, residuals, free_form)
     if points is not None or family is not None:
         from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
 
@@ -110,9 +111,8 @@ def fit(
         if points is None and estimate_blur and model == "labels":
             raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
         return fit_any_family(
-            Path(str(image)), str(family), out, mesh, picture, given, triangles, device,
-            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals, free_form=free_form,
-            mirror=mirror,
+            Path(str(image)), str(family), files, given, triangles, device,
+            with_blur=estimate_blur, with_formation=estimate_formation, mirror=mirror,
         )  # fmt: skip
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
@@ -138,19 +138,7 @@ def fit(
         from sdm.fit.solve import estimate_blur as blurs
 
         result = blurs.estimate_blur(scan.values, scan.grid, exact, result, options)
-    result.save(out)
-    save_residuals(scan, result, residuals)
-    save_free_form(scan, finish or first, result, options.blur, free_form)
-    result.require()
-    if mesh is not None or picture is not None:
-        from sdm.viz.fit_figure import draw_fit, write_surface
-
-        surface = (finish or first), result
-        if mesh is not None:
-            write_surface(*surface, mesh)
-        if picture is not None:
-            draw_fit(scan.values, scan.grid, *surface, picture)
-    print_fit(result, options.blur)
+    write_fit(files, scan, finish or first, result, blur=options.blur)
     return None
 
 

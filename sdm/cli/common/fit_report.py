@@ -1,15 +1,79 @@
-"""Report of a fit to an image: estimates on the terminal, and residuals as an image."""
+"""Files that a fit to an image leaves, and its estimates on the terminal."""
 
 from __future__ import annotations
 
+import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from sdm.io.files.atomic import replacing
 
 if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
     from sdm.fit import FitResult
     from sdm.fit.model.backend import Backend
+
+
+@dataclass(frozen=True)
+class FitFiles:
+    """Files that are asked for; None where one is not.
+
+    Args:
+        report: JSON.
+        mesh: The surface.
+        picture: The image with the outline.
+        residuals: The image less what the fit expects.
+        free_form: The surface whose vertices went on freely.
+    """
+
+    report: Path
+    mesh: Path | None = None
+    picture: Path | None = None
+    residuals: Path | None = None
+    free_form: Path | None = None
+
+
+def write_fit(
+    files: FitFiles,
+    scan: Any,
+    backend: Backend,
+    result: FitResult,
+    *,
+    blur: float,
+    unit: str = "mm",
+    record: dict[str, Any] | None = None,
+    surface: TriangleMesh | None = None,
+) -> None:
+    """Write a fit's files, and print its estimates.
+
+    Args:
+        files: Where.
+        scan: The image, with its grid.
+        backend: Of the shape, in the image's unit.
+        result: The fit.
+        blur: That it took for granted.
+        unit: Of lengths.
+        record: The report's content, if not the result's own.
+        surface: The fitted surface, if not the backend's own.
+
+    Raises:
+        FitError: The fit is not to be trusted. Report, residuals and free form are written.
+    """
+    from sdm.io.meshes.write import save_mesh
+    from sdm.viz.fit_figure import draw_fit, surface_of
+
+    with replacing(files.report) as part:
+        part.write_text(json.dumps(result.record() if record is None else record, indent=1) + "\n")
+    save_residuals(scan, result, files.residuals)
+    save_free_form(scan, backend, result, blur, files.free_form, surface)
+    result.require()
+    if files.mesh is not None:
+        save_mesh(surface_of(backend, result) if surface is None else surface, files.mesh)
+    if files.picture is not None:
+        draw_fit(scan.values, scan.grid, backend, result, files.picture)
+    print_fit(result, blur, unit)
 
 
 def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> None:

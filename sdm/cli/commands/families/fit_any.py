@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm.cli.common.fit_report import FitFiles
     from sdm.fit.model.backend import Backend
 
 NOT_CONVERGED = "the fit did not converge"
@@ -16,38 +17,30 @@ NOT_CONVERGED = "the fit did not converge"
 def fit_any_family(
     image: Path,
     name: str,
-    out: Path,
-    mesh: Path | None,
-    picture: Path | None,
+    files: FitFiles,
     given: dict[str, Any],
     triangles: int | None,
     device: str,
     *,
     with_blur: bool = False,
     with_formation: bool = False,
-    residuals: Path | None = None,
-    free_form: Path | None = None,
     mirror: bool = False,
 ) -> None:
-    """Fit a family to an image, and write report, surface and picture.
+    """Fit a family to an image, and write files.
 
     Args:
         image: The image's file.
         name: The family, as every command takes it, or a DeepSDF's file.
-        out: Report, JSON.
-        mesh: Surface, or None.
-        picture: Picture, or None.
+        files: To write.
         given: Options of `FitOptions`; those that are None count as not given.
         triangles: Of the family's meshes, where that can be chosen.
         device: Where.
         with_blur: Estimate the blur with the shape.
         with_formation: Estimate the image's formation with the shape.
-        residuals: Residual map, or None.
-        free_form: Surface whose vertices went on freely, or None.
         mirror: Fit mirror images of the family's shapes.
     """
     import sdm
-    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
+    from sdm.cli.common.fit_report import write_fit
     from sdm.cli.common.progress import StageProgress
     from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
@@ -55,10 +48,7 @@ def fit_any_family(
         from sdm.cli.commands.families.fit_network import fit_network
 
         refuse_mesh_options(name, triangles, mirror)
-        fit_network(
-            image, name, out, mesh, picture, given, device, with_blur=with_blur, with_formation=with_formation,
-            residuals=residuals, free_form=free_form,
-        )  # fmt: skip
+        fit_network(image, name, files, given, device, with_blur=with_blur, with_formation=with_formation)
         return
     fitted = shapes_to_fit(name, triangles, device, mirror=mirror)
     scan = sdm.load(image)
@@ -74,19 +64,7 @@ def fit_any_family(
             with_formation=with_formation,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
-    result.save(out)
-    save_residuals(scan, result, residuals)
-    backend = fitted.backend(1.0)
-    save_free_form(scan, backend, result, options.blur, free_form)
-    result.require()
-    if mesh is not None or picture is not None:
-        from sdm.viz.fit_figure import draw_fit, write_surface
-
-        if mesh is not None:
-            write_surface(backend, result, mesh)
-        if picture is not None:
-            draw_fit(scan.values, scan.grid, backend, result, picture)
-    print_fit(result, options.blur, fitted.unit)
+    write_fit(files, scan, fitted.backend(1.0), result, blur=options.blur, unit=fitted.unit)
 
 
 @dataclass(frozen=True)

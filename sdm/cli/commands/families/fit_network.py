@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sdm.cli.common.fit_report import FitFiles
 
 
 def fit_network(
     image: Path,
     name: str,
-    out: Path,
-    mesh: Path | None,
-    picture: Path | None,
+    files: FitFiles,
     given: dict[str, Any],
     device: str,
     *,
     with_blur: bool = False,
     with_formation: bool = False,
-    residuals: Path | None = None,
-    free_form: Path | None = None,
 ) -> None:
-    """Fit a DeepSDF to an image, and write report, surface and picture; the arguments are those of `fit_any_family`."""
-    import json
-
+    """Fit a DeepSDF to an image, and write files; the arguments are those of `fit_any_family`."""
     import sdm
-    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
+    from sdm.cli.common.fit_report import write_fit
     from sdm.cli.common.progress import StageProgress
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
     from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf
     from sdm.fit.solve.fit_family import usual_options
-    from sdm.io.files.atomic import replacing
-    from sdm.io.meshes.write import save_mesh
-    from sdm.viz.fit_figure import draw_fit, surface_of
 
     model = DeepSDF.load(name, device)
     scan = sdm.load(image)
@@ -47,18 +41,10 @@ def fit_network(
             with_formation=with_formation,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
-    with replacing(out) as part:
-        part.write_text(json.dumps(fit.record(), indent=1) + "\n")
-    save_residuals(scan, fit.result, residuals)
     backend = DeepSDFBackend(model)
     surface = None if fit.code is None else fit.code.mesh(backend)
-    save_free_form(scan, backend, fit.result, options.blur, free_form, surface)
-    fit.result.require()
-    if mesh is not None:
-        save_mesh(surface_of(backend, fit.result) if surface is None else surface, mesh)
-    if picture is not None:
-        draw_fit(scan.values, scan.grid, backend, fit.result, picture)
-    print_fit(fit.result, options.blur, "")
+    record = fit.record()
+    write_fit(files, scan, backend, fit.result, blur=options.blur, unit="", record=record, surface=surface)
     if fit.code is not None:
         size = float(fit.code.state.theta[0])
         print(f"code   all {len(fit.code.code):,} numbers, size {size:.4g}: the surface is of these, without intervals")
