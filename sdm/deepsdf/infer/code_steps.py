@@ -3,7 +3,7 @@
 The unknowns are standard ones: the code in coordinates in which those of the training shapes are a standard Gaussian
 (`CodeGaussian`), and the increments of log size, rotation and translation in standard deviations of their priors. A
 distance depends on a code by what its point sees of it, which is linear in the code (`seen` of the decoders), so one
-pass back through the network gives all derivatives, and products with them are those of a sparse matrix (`CodeRows`).
+pass back through the network gives all derivatives, a sparse matrix (`CodeJacobian`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from sdm.deepsdf.infer.code_rows import CodeRows
+from sdm.deepsdf.infer.code_jacobian import CodeJacobian
 from sdm.deepsdf.infer.fit_backend import POINTS, DeepSDFBackend, directions
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
 from sdm.deepsdf.networks.decoders import Decoder
@@ -68,9 +68,9 @@ class Slopes:
     decoder: Decoder
 
     @cached_property
-    def rows(self) -> CodeRows:
+    def jacobian(self) -> CodeJacobian:
         """Derivatives by the code."""
-        return CodeRows(self.decoder, self.by_seen, self.points)
+        return CodeJacobian(self.decoder, self.by_seen, self.points)
 
 
 class CodeUnknowns:
@@ -145,31 +145,31 @@ class CodeUnknowns:
         """Changes (N,) float64 of the distances with a step (D+7,)."""
         with threads(self.backend.threads):
             along = directions(self.gaussian.spread(step[:-7].float())[None], self.code(at), self._bound)
-            by_code = slopes.rows.forward(along[0])
+            by_code = slopes.jacobian.forward(along[0])
         return by_code + slopes.similar @ step[-7:]
 
     def backward(self, slopes: Slopes, at: WholeCode, pull: Tensor) -> Tensor:
         """The transpose of `forward`: (N,) to (D+7,)."""
         with threads(self.backend.threads):
-            by_code = slopes.rows.backward(pull.float())[None]
+            by_code = slopes.jacobian.backward(pull.float())[None]
             # The projection onto the bounded codes' sphere is symmetric.
             by_code = self.gaussian.spread(directions(by_code, self.code(at), self._bound)[0])
         return torch.cat([by_code.double(), slopes.similar.T @ pull])
 
 
 def conjugate_gradients(
-    product: Callable[[Tensor], Tensor], right: Tensor, near_inverse: Callable[[Tensor], Tensor]
+    product: Callable[[Tensor], Tensor], right: Tensor, preconditioner: Callable[[Tensor], Tensor]
 ) -> Tensor:
     """The solution of a symmetric positive system, nearly; sooner, the nearer a given inverse is."""
     x, r = torch.zeros_like(right), right
-    p = z = near_inverse(r)
+    p = z = preconditioner(r)
     rz = (r * z).sum()
     enough = ACCURACY**2 * rz
     for _ in range(SOLVES):
         image = product(p)
         step = rz / (p * image).sum().clamp_min(1e-300)
         x, r = x + step * p, r - step * image
-        z = near_inverse(r)
+        z = preconditioner(r)
         new = (r * z).sum()
         if float(new) < float(enough):
             break

@@ -22,7 +22,7 @@ from sdm.deepsdf.infer.code_steps import (
 )
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.deepsdf.infer.isosurface import decode_mesh
-from sdm.deepsdf.infer.near_inverse import NearInverse
+from sdm.deepsdf.infer.preconditioner import Preconditioner
 from sdm.deepsdf.samples import UnitSphere
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.partial_volume import Renderer
@@ -32,14 +32,15 @@ from sdm.runtime.threads import threads
 
 # Where the start explains less than this of its neighbourhood, first lengths of the logistic [voxels] under which a
 # surface is felt that lies some voxels off; steps at each, and at the last.
-FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 2, 10
+FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 2, 15
 # The last steps end where the expected image changes by less than so many deviations of the noise, root mean square
-# over the voxels that the surface cuts; a search that ends with more than the second has not converged.
-CHANGED, UNSETTLED = 0.1, 0.35
+# over the voxels that the surface cuts; a search that ends with more than the second has not converged. Less noise than
+# this share of the contrast counts as so much: a surface does not go a hundredth of a voxel for a change of that.
+CHANGED, UNSETTLED, LITTLE = 0.1, 0.35, 0.05
 # A step that does not go down is halved so often.
 HALVED = 3
-# Voxels with less of the other side than this tell the noise.
-PURE = 0.01
+# Voxels with less of the other side than this are not cut. So many tell their noise.
+PURE, MANY = 0.01, 100
 # Points at which the slope of the distances is looked at.
 EVEN = 2000
 
@@ -52,7 +53,8 @@ class CodeFit:
         code: (D,) float32.
         state: Pose, with theta (1,) the size.
         share: (nx,ny,nz) expected share of inside of each voxel.
-        noise: Standard deviation of the noise, in intensities.
+        noise: Standard deviation of what is left, in intensities, where the surface cuts voxels or elsewhere, whichever
+            is larger.
         inside: Intensity inside.
         outside: Intensity outside.
         converged: The last step changed the objective by little.
@@ -131,15 +133,13 @@ def fit_code(
         looks = _Image(values, renderer, unknowns)
         found = looks(at)
         for _ in range(LAST if final else STEPS):
-            following = looks.step(at, found)
+            following, there, changed = looks.step(at, found)
             if report is not None:
                 report("code", steps)
-            if following is None:
-                converged = final
-                break
-            changed = looks.changed(found, following[1])
-            at, found, steps = *following, steps + 1
             converged = final and changed < UNSETTLED
+            if following is at:
+                break
+            at, found, steps = following, there, steps + 1
             if final and changed < CHANGED:
                 break
     assert found is not None  # noqa: S101 - there is a last length
@@ -200,9 +200,9 @@ class _Image:
         design = torch.stack([1 - voxels.flatten(), voxels.flatten()], 1)
         low, high = torch.linalg.solve(design.T @ design, design.T @ self.values.flatten()).tolist()
         residual = self.values - (low + (high - low) * voxels)
-        pure = (voxels < PURE) | (voxels > 1 - PURE)
-        noise = float(residual[pure].std()) if int(pure.sum()) > 100 else float(residual.std())
-        noise = max(noise, 1e-3 * abs(high - low))
+        # As long as the shape is wrong, the voxels that it cuts say so, and steps stay near what the prior knows.
+        cut = (voxels > PURE) & (voxels < 1 - PURE)
+        noise = max(_deviation(residual[cut]), _deviation(residual[~cut]), 1e-3 * abs(high - low))
         felt = -(high - low) * p * (1 - p) / renderer.length
         return _Rendered(slopes, even, place, felt, voxels, residual, noise, low, high)
 
@@ -211,16 +211,17 @@ class _Image:
         cut = (following.voxels > 0.05) & (following.voxels < 0.95)
         if not bool(cut.any()):
             return 0.0
-        by = (following.high - following.low) * (following.voxels - found.voxels)[cut]
-        return float(by.square().mean().sqrt()) / following.noise
+        contrast = abs(following.high - following.low)
+        by = contrast * float((following.voxels - found.voxels)[cut].square().mean().sqrt())
+        return by / max(following.noise, LITTLE * contrast)
 
     def objective(self, at: WholeCode, found: _Rendered, noise: float) -> float:
         """Minus the log posterior density, but for a constant, under a given noise."""
         away = 0.5 * float(self.unknowns.away(at).square().sum())
         return 0.5 * float(found.residual.square().sum()) / noise**2 + found.even.penalty + away
 
-    def step(self, at: WholeCode, found: _Rendered) -> tuple[WholeCode, _Rendered] | None:
-        """The next code and its image; None where steps no longer go down."""
+    def step(self, at: WholeCode, found: _Rendered) -> tuple[WholeCode, _Rendered, float]:
+        """The next code, its image, and how much the image changed; the same code where steps no longer go down."""
         unknowns, renderer, weight = self.unknowns, self.renderer, 1 / found.noise**2
         shape = tuple(renderer.count)
 
@@ -237,17 +238,18 @@ class _Image:
 
         even = found.even
         right = weight * backward(found.residual) - even.backward(even.residual) / SLOPE**2 - unknowns.away(at)
-        step = conjugate_gradients(normal, right, self._near_inverse(at, found, right, forward(right)))
-        before = self.objective(at, found, found.noise)
+        step = conjugate_gradients(normal, right, self._preconditioner(at, found, right, forward(right)))
+        before, most = self.objective(at, found, found.noise), 0.0
         for _ in range(HALVED):
             moved = unknowns.moved(at, step)
             there = self(moved)
+            changed = self.changed(found, there)
             if self.objective(moved, there, found.noise) < before:
-                return moved, there
-            step = step / 2
-        return None
+                return moved, there, changed
+            step, most = step / 2, max(most, changed)
+        return at, found, most
 
-    def _near_inverse(self, at: WholeCode, found: _Rendered, step: Tensor, image: Tensor) -> NearInverse:
+    def _preconditioner(self, at: WholeCode, found: _Rendered, step: Tensor, image: Tensor) -> Preconditioner:
         """Of a step's matrix; a step and its image say how much of changes at sample points is left in an image."""
         unknowns, slopes = self.unknowns, found.slopes
         left = image.square().sum() / (found.felt * unknowns.forward(slopes, at, step)).square().sum()
@@ -255,4 +257,9 @@ class _Image:
         importance = left / found.noise**2 * found.felt.square()
         even = by_code / SLOPE, similar / SLOPE
         with threads(unknowns.backend.threads):
-            return NearInverse(unknowns.gaussian, slopes.rows, slopes.similar, importance, even)
+            return Preconditioner(unknowns.gaussian, slopes.jacobian, slopes.similar, importance, even)
+
+
+def _deviation(residual: Tensor) -> float:
+    """Root mean square of residuals; 0 of few."""
+    return float(residual.square().mean().sqrt()) if len(residual) > MANY else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 
@@ -16,7 +17,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import DeepSDF
 from sdm.deepsdf.infer import fit_backend
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
-from sdm.deepsdf.infer.fit_code import surface_of_code
+from sdm.deepsdf.infer.fit_code import _Image, fit_code, surface_of_code
 from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf, fit_deepsdf_points
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State, rotation_from_vector
@@ -59,19 +60,20 @@ class Truth:
     def distances(self, theta: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
         return SIZE * self.model.signed_distance((points / SIZE).float(), self.code).double()
 
-    def image(self) -> sdm.SDM:
+    def image(self, noise: float) -> sdm.SDM:
         grid = Grid((-6.8, -6.8, -6.8), (VOXEL,) * 3, (18, 18, 18))
         share = Renderer(grid, self, blur=BLUR, length=0.05, fine=0.4)(self.state, derivatives=False).share  # type: ignore[arg-type]
-        noise = torch.randn(grid.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-        return sdm.SDM((1000 * share + 50 * noise).float(), grid)
+        white = torch.randn(grid.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+        return sdm.SDM((1000 * share + noise * white).float(), grid)
 
     def off(self, mesh: TriangleMesh) -> float:
         ways = ((mesh, self.mesh), (self.mesh, mesh))
         return sum(float(sdm.MeshIndex(b, "cpu").signed_distance(a.vertices).abs().mean()) for a, b in ways) / 2
 
 
-def test_an_image_is_held_by_the_whole_code(model: DeepSDF) -> None:
-    truth, scan = Truth(model), Truth(model).image()
+@pytest.mark.parametrize("noise", [0, 50])
+def test_an_image_is_held_by_the_whole_code(noise: float, model: DeepSDF) -> None:
+    truth, scan = Truth(model), Truth(model).image(noise)
     fit = fit_deepsdf(scan.values, scan.grid, model, options=FitOptions(blur=BLUR, fine=0.4, length=0.05, starts=1))
     assert fit.code is not None
     alone = truth.off(surface_at(truth.backend, fit.result.state))
@@ -82,7 +84,9 @@ def test_an_image_is_held_by_the_whole_code(model: DeepSDF) -> None:
     assert fit.result.diagnosis.explained > 0.99
     # Held where the components found it: codes hold sizes of their own.
     assert float(fit.code.state.theta[0]) == pytest.approx(float(fit.result.state.theta[0]), rel=0.05)
-    assert fit.code.noise == pytest.approx(50, rel=0.05)
+    assert fit.code.converged
+    # The network is not exact.
+    assert fit.code.noise == pytest.approx(noise, rel=0.05, abs=20)
     assert fit.code.outside == pytest.approx(0, abs=20)
 
 
@@ -128,3 +132,23 @@ def test_noise_is_no_shape_of_a_deepsdf(model: DeepSDF) -> None:
     fit = fit_deepsdf(noise, Grid((-5, -5, -5), (VOXEL,) * 3, (20, 20, 20)), model)
     assert fit.code is None
     assert not fit.result.trusted
+
+
+@pytest.mark.parametrize("bump", [0.0, 0.3])
+def test_a_search_that_cannot_go_down_has_converged_only_where_it_would_not_go_far(
+    bump: float, model: DeepSDF, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = Truth(model)
+    scan, options = truth.image(0), FitOptions(blur=BLUR, fine=0.4, length=0.05)
+    rising = itertools.count()
+    monkeypatch.setattr(_Image, "objective", lambda *given: float(next(rising)))
+    # Components of the training's codes; where they begin is the truth but for these.
+    theta = torch.cat([truth.state.theta, torch.zeros(3, dtype=torch.float64)])
+    code = truth.code + bump * torch.eye(NUMBERS)[3]
+    monkeypatch.setattr(DeepSDFBackend, "code", lambda *given: code)
+    start = State(theta, truth.state.rotation, truth.state.translation, truth.state.centre)
+    fit = fit_code(scan.values, scan.grid, truth.backend, start, options=options, explained=1.0)
+    assert fit.steps == 0
+    assert fit.converged == (bump == 0)
+    # A shape that is wrong leaves more than the noise where it cuts voxels.
+    assert (fit.noise > 30) == (bump > 0)

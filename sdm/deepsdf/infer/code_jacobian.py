@@ -15,7 +15,7 @@ from sdm.deepsdf.networks.decoders import Decoder
 RUN, SLICE = 64, 64
 
 
-class CodeRows:
+class CodeJacobian:
     """Derivatives of the distances of N points by a code of D numbers.
 
     Args:

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from sdm.deepsdf import local, published
-from sdm.deepsdf.infer.code_rows import RUN, CodeRows
-from sdm.deepsdf.infer.near_inverse import NearInverse
+from sdm.deepsdf.infer.code_jacobian import RUN, CodeJacobian
+from sdm.deepsdf.infer.preconditioner import Preconditioner
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
 from sdm.deepsdf.networks.decoders import make_decoder
 
@@ -29,7 +29,7 @@ def made(request):
     points[-1], points[-2] = 1.0, -1.0
     parts = [decoder.global_size, *([sum(c for _, c in decoder.grids)] if decoder.grids else [])]
     by_seen = tuple(torch.randn(POINTS, part, generator=random) for part in parts)
-    return CodeRows(decoder, by_seen, points), decoder.rows(by_seen, points), random
+    return CodeJacobian(decoder, by_seen, points), decoder.rows(by_seen, points), random
 
 
 def test_products(made) -> None:
@@ -60,7 +60,7 @@ def test_an_inverse(made) -> None:
     even = torch.randn(20, size, generator=random), torch.randn(20, 7, generator=random).double()
     # Numbers of a code that only these rows see, and such that none sees.
     even[0][:, -3:] = 0
-    inverse = NearInverse(gaussian, rows, similar, importance, even)
+    inverse = Preconditioner(gaussian, rows, similar, importance, even)
 
     def standard(rows: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         return torch.cat([torch.stack([gaussian.spread(row) for row in rows]).double(), others], 1)

@@ -10,40 +10,47 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdm.deepsdf.infer.code_rows import CodeRows
+from sdm.deepsdf.infer.code_jacobian import CodeJacobian
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
 
 # A direction of the training's codes counts where its variance is larger than that of all others by this share.
 LARGER = 1e-3
+# Shares of the diagonal that are added to it until no rounding of float32 is left below 0.
+ROUNDING = (1e-7, 1e-5, 1e-3)
 
 
-class NearInverse:
+class Preconditioner:
     """The inverse of A' W A + E' E / s^2 + 1 in the coordinates in which the prior is a standard Gaussian.
 
     Args:
         gaussian: The prior of codes.
-        rows: A by the code.
+        jacobian: A by the code.
         similar: (N,7) A by size, rotation and translation, in standard deviations.
         importance: (N,) the diagonal W.
         even: (M,D) and (M,7), E / s.
     """
 
     def __init__(
-        self, gaussian: CodeGaussian, rows: CodeRows, similar: Tensor, importance: Tensor, even: tuple[Tensor, Tensor]
+        self,
+        gaussian: CodeGaussian,
+        jacobian: CodeJacobian,
+        similar: Tensor,
+        importance: Tensor,
+        even: tuple[Tensor, Tensor],
     ) -> None:
         self.gaussian = gaussian
         more, of_similar = even
         seen = (more != 0).any(0)
-        seen[rows.columns().flatten()] = True
+        seen[jacobian.columns().flatten()] = True
         self.seen = seen.nonzero()[:, 0]
         column = torch.where(seen, seen.cumsum(0) - 1, 0)
-        whole = rows.gram(column, similar, importance.to(more))
+        whole = jacobian.gram(column, similar, importance.to(more))
         own = torch.cat([more[:, self.seen], of_similar.to(more)], 1)
         whole = (whole + own.T @ own).double()
         count = len(self.seen)
         whole.diagonal()[:count] += 1 / gaussian.rest
         whole.diagonal()[count:] += 1
-        self.factor = torch.linalg.cholesky(whole)
+        self.factor = _factor(whole)
         # Of the prior, what the training's codes say beside that: a few directions, by Woodbury's identity.
         some = gaussian.variances > (1 + LARGER) * gaussian.rest
         self.axes = gaussian.axes[some].double()
@@ -64,3 +71,14 @@ class NearInverse:
         own = torch.cholesky_solve(torch.cat([code[self.seen], similar]), self.factor)
         found[self.seen] = own[: len(self.seen)]
         return torch.cat([found, own[len(self.seen) :]])
+
+
+def _factor(whole: Tensor) -> Tensor:
+    """Cholesky's factor of a positive matrix of which float32 kept seven digits."""
+    diagonal, factor = whole.diagonal().clone(), whole
+    for share in ROUNDING:
+        whole.diagonal().copy_(diagonal * (1 + share))
+        factor, failed = torch.linalg.cholesky_ex(whole)
+        if not failed:
+            break
+    return factor
