@@ -18,6 +18,8 @@ HUES = {
 }
 # Where an error of zero is drawn: below all others.
 ZERO = 3.0
+# Of points whose errors differ by less than this share, the lowest has a name.
+SAME = 0.1
 
 
 def draw(record: dict[str, Any], target: Path) -> None:
@@ -41,6 +43,9 @@ def draw(record: dict[str, Any], target: Path) -> None:
                 # Its neighbour's labels are its own.
                 continue
             for row, a, b in zip(own, x, y, strict=True):
+                if any((1 - SAME) * b < other < b for other in y):
+                    # Names of two meshes that are as near would lie on each other.
+                    continue
                 axes.annotate(
                     row["of"], (a, b), textcoords="offset points", fontsize=8, color="0.35", **_place(method, row["of"])
                 )
