@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = ("png", "pdf", "svg")
+# Estimates that a panel has room for.
+MOST_LINES = 14
 
 
 def surface_of(backend: Backend, result: FitResult) -> TriangleMesh:
@@ -58,9 +60,25 @@ def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
 
 
 def draw_fit(
-    image: Tensor, grid: Grid, backend: Backend, result: FitResult, path: str | Path, *, title: str = "Fit to the image"
+    image: Tensor,
+    grid: Grid,
+    backend: Backend,
+    result: FitResult,
+    path: str | Path,
+    *,
+    title: str = "Fit to the image",
+    unit: str = "mm",
 ) -> None:
     """Draw the image's three middle slices with the fitted outline, what is left over, and the estimates.
+
+    Args:
+        image: (nx,ny,nz) intensities.
+        grid: Where its voxels are.
+        backend: Of the fit, in the image's unit.
+        result: The fit.
+        path: Where to.
+        title: Above.
+        unit: Of lengths, or nothing.
 
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
@@ -72,12 +90,12 @@ def draw_fit(
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        figure = _figure(image, grid, backend, result, title)
+        figure = _figure(image, grid, backend, result, title, unit)
         with replacing(target) as part:
             figure.savefig(part, format=kind, dpi=110)
 
 
-def _figure(image: Tensor, grid: Grid, backend: Backend, result: FitResult, title: str) -> Figure:
+def _figure(image: Tensor, grid: Grid, backend: Backend, result: FitResult, title: str, unit: str) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -106,8 +124,11 @@ def _figure(image: Tensor, grid: Grid, backend: Backend, result: FitResult, titl
             panel.set_xticks([])
             panel.set_yticks([])
     _list(axes[0, 3], _estimates(result))
-    deviations = surface_deviations(backend, result)
-    _list(axes[1, 3], [f"surface within {float(deviations.mean()):.4f} mm (1 sd)",
+    if result.diagnosis.warnings:
+        sure = "more is not known: see the report's warnings"
+    else:
+        sure = f"surface within {float(surface_deviations(backend, result).mean()):.4g} {unit}".rstrip() + " (1 sd)"
+    _list(axes[1, 3], [sure,
                        f"explains {result.diagnosis.explained:.1%} of its neighbourhood",
                        f"contrast {result.diagnosis.contrast:.1f} times the noise",
                        f"{sum(result.evaluations.values())} shape evaluations, {result.seconds:.1f} s"])  # fmt: skip
@@ -120,13 +141,16 @@ def _estimates(result: FitResult) -> list[str]:
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=True):
         unit = "" if parameter.unit == "1" else f" {parameter.unit}"
         lines.append(f"{parameter.name} = {value:.4f} ({low:.4f} to {high:.4f}){unit}")
+    if len(lines) > MOST_LINES:
+        lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more: see the report"]
     return lines
 
 
 def _list(panel: Any, lines: list[str]) -> None:
     panel.axis("off")
+    pitch = min(0.11, 1.0 / len(lines))
     for row, line in enumerate(lines):
-        panel.text(0.0, 0.9 - 0.11 * row, line, fontsize=10, transform=panel.transAxes)
+        panel.text(0.0, 0.9 - pitch * row, line, fontsize=10, transform=panel.transAxes)
 
 
 def _family_of(backend: Backend) -> Family:

@@ -72,7 +72,7 @@ def write_fit(
     if files.mesh is not None:
         save_mesh(surface_of(backend, result) if surface is None else surface, files.mesh)
     if files.picture is not None:
-        draw_fit(scan.values, scan.grid, backend, result, files.picture)
+        draw_fit(scan.values, scan.grid, backend, result, files.picture, unit=unit)
     print_fit(result, blur, unit)
 
 

@@ -17,7 +17,7 @@ from sdm.deepsdf.infer.fit_code import CodeFit, fit_code
 from sdm.deepsdf.infer.fit_code_points import CodePointFit, fit_code_points
 from sdm.deepsdf.networks.model import DeepSDF
 from sdm.fit.model.scaled_family import scaled_grid
-from sdm.fit.solve.diagnosis import LEAST_EXPLAINED, diagnose
+from sdm.fit.solve.diagnosis import MOST_MISFIT, diagnose
 from sdm.fit.solve.fit_family import fit_scaled, usual_options
 from sdm.fit.solve.fit_points import PointFit, fit_points
 from sdm.fit.solve.fit_shape import FitOptions, image_tensor, prior_of
@@ -131,11 +131,11 @@ def _judged(values: Tensor, grid: Grid, backend: DeepSDFBackend, result: FitResu
     outcome = Outcome(point, code.converged, 0.0 if code.converged else float("inf"), code.steps, ())
     prior = prior_of(grid, backend, FitOptions())
     diagnosis = diagnose(values, grid, outcome, prior, [p.name for p in result.parameters])
-    alone = result.diagnosis.explained
-    if diagnosis.trusted and alone < LEAST_EXPLAINED:
+    alone = result.diagnosis.misfit
+    if diagnosis.trusted and alone > MOST_MISFIT:
         warning = (
-            f"intervals are of the code's first {len(result.parameters) - 1} components, which explain {alone:.0%} of "
-            f"the neighbourhood where the whole code explains {diagnosis.explained:.0%}: they are too narrow"
+            f"intervals are of the code's first {len(result.parameters) - 1} components, which leave {alone:.1f} times "
+            f"the noise at the surface, where the whole code leaves {diagnosis.misfit:.1f}: they are too narrow"
         )
         diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, warning))
     steps = {**result.steps, "code": code.steps}
