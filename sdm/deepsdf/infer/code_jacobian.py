@@ -65,6 +65,16 @@ class CodeJacobian:
             volume.index_add_(1, nodes.flatten(), of_run.transpose(0, 1).flatten(1))
         return found
 
+    def squares(self, importance: Tensor) -> Tensor:
+        """Squared lengths (D,) of the columns, each row as important as told, (N,)."""
+        found = importance.new_zeros(self.decoder.code_size)
+        found[: self.decoder.global_size] = importance @ self.whole.square()
+        in_runs = self._in_runs(importance)
+        for by, weights, nodes, volume in zip(self.by, self.weights, self.nodes, self._volumes(found), strict=True):
+            of_run = by.square().mT @ (weights.square() * in_runs[:, :, None])
+            volume.index_add_(1, nodes.flatten(), of_run.transpose(0, 1).flatten(1))
+        return found
+
     def columns(self) -> Tensor:
         """Numbers (R,K) of a code that the points of each run see."""
         device = self.whole.device
@@ -76,19 +86,21 @@ class CodeJacobian:
             found.append((of_channel[:, None] + nodes[:, None]).flatten(1))
         return torch.cat(found, 1)
 
-    def gram(self, column: Tensor, others: Tensor, importance: Tensor) -> Tensor:
-        """Products of the columns with each other, each row as important as told.
+    def gram(self, column: Tensor, size: int, others: Tensor, importance: Tensor) -> Tensor:
+        """Products of some columns with each other, each row as important as told.
 
         Args:
-            column: (D,) where each number of a code that some point sees is, of T.
+            column: (D,) which of T each number of a code is; T where it is left out.
+            size: T.
             others: (N,O) columns that are dense.
             importance: (N,) of the rows, at least 0.
 
         Returns:
             (T+O,T+O), the dense ones last.
         """
-        size, dense = int(column.max()) + 1, others.shape[1]
         at = column[self.columns()]
+        # What is left out goes to a place of its own.
+        size, dense = size + 1, others.shape[1]
         own = torch.arange(size, size + dense, device=at.device)
         at = torch.cat([at, own.expand(self.count, -1)], 1)
         root, whole, others = (self._in_runs(x) for x in (importance.sqrt(), self.whole, others.to(self.whole)))
@@ -104,7 +116,8 @@ class CodeJacobian:
             at_cell = at[some[runs.cumsum(0) - 1]]
             where = at_cell[:, :, None] * (size + dense) + at_cell[:, None]
             found.index_add_(0, where.flatten(), of_cell.flatten())
-        return found.view(size + dense, size + dense)
+        kept = torch.cat([torch.arange(size - 1, device=at.device), own])
+        return found.view(size + dense, size + dense)[kept][:, kept]
 
     def _volumes(self, code: Tensor) -> list[Tensor]:
         """The code's grids (C,R^3), where they lie in it."""

@@ -2,7 +2,7 @@
 
 With each sample point by itself, as if no blur mixed them, and for all of them one factor of what the blur leaves, the
 matrix is a sum over cells of the code's grids. A surface passes through a part of them, so a few thousand of a code's
-numbers hang together, and all others have their prior alone: Cholesky's factors of the first are quickly made.
+numbers hang together, and all others are nearly as their prior says: Cholesky's factors of the first are quickly made.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from sdm.deepsdf.networks.code_gaussian import CodeGaussian
 
 # A direction of the training's codes counts where its variance is larger than that of all others by this share.
 LARGER = 1e-3
+# A number of a code counts where the data tell more than this beside its prior; at most so many do.
+LEAST, MOST = 1e-2, 6000
 # Shares of the diagonal that are added to it until no rounding of float32 is left below 0.
 ROUNDING = (1e-7, 1e-5, 1e-3)
 
@@ -40,11 +42,12 @@ class Preconditioner:
     ) -> None:
         self.gaussian = gaussian
         more, of_similar = even
-        seen = (more != 0).any(0)
-        seen[jacobian.columns().flatten()] = True
-        self.seen = seen.nonzero()[:, 0]
-        column = torch.where(seen, seen.cumsum(0) - 1, 0)
-        whole = jacobian.gram(column, similar, importance.to(more))
+        told = gaussian.rest * (jacobian.squares(importance.to(more)) + more.square().sum(0))
+        most = told.topk(min(MOST, len(told)))
+        self.seen = most.indices[most.values > LEAST].sort().values
+        column = torch.full_like(told, len(self.seen), dtype=torch.int64)
+        column[self.seen] = torch.arange(len(self.seen), device=told.device)
+        whole = jacobian.gram(column, len(self.seen), similar, importance.to(more))
         own = torch.cat([more[:, self.seen], of_similar.to(more)], 1)
         whole = (whole + own.T @ own).double()
         count = len(self.seen)
