@@ -92,7 +92,7 @@ def test_a_disk_that_cannot_be_written_is_said(tmp_path, started):
 
 def test_an_interrupt_leaves_no_process(tmp_path):
     target = tmp_path / "d.zarr"
-    options = ["--count", "400", "--resolution", "24", "--triangles", "600", "--shard", "2", "--device", "cpu"]
+    options = ["--count", "20000", "--resolution", "24", "--triangles", "600", "--shard", "2", "--device", "cpu"]
     command = [*generate_command.words("processes"), "cochlea", *options, "-o", target]
     child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     limit = time.monotonic() + 100
