@@ -6,6 +6,8 @@ put side by side, in runs of up to `RUN`, and a product with the matrix is one w
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -57,23 +59,11 @@ class CodeJacobian:
 
     def backward(self, pull: Tensor) -> Tensor:
         """The transpose of `forward`: (N,) to (D,)."""
-        found = pull.new_zeros(self.decoder.code_size)
-        found[: self.decoder.global_size] = self.whole.T @ pull
-        in_runs = self._in_runs(pull)
-        for by, weights, nodes, volume in zip(self.by, self.weights, self.nodes, self._volumes(found), strict=True):
-            of_run = by.mT @ (weights * in_runs[:, :, None])
-            volume.index_add_(1, nodes.flatten(), of_run.transpose(0, 1).flatten(1))
-        return found
+        return self._transposed(pull, lambda part: part)
 
     def squares(self, importance: Tensor) -> Tensor:
         """Squared lengths (D,) of the columns, each row as important as told, (N,)."""
-        found = importance.new_zeros(self.decoder.code_size)
-        found[: self.decoder.global_size] = importance @ self.whole.square()
-        in_runs = self._in_runs(importance)
-        for by, weights, nodes, volume in zip(self.by, self.weights, self.nodes, self._volumes(found), strict=True):
-            of_run = by.square().mT @ (weights.square() * in_runs[:, :, None])
-            volume.index_add_(1, nodes.flatten(), of_run.transpose(0, 1).flatten(1))
-        return found
+        return self._transposed(importance, torch.square)
 
     def columns(self) -> Tensor:
         """Numbers (R,K) of a code that the points of each run see."""
@@ -118,6 +108,16 @@ class CodeJacobian:
             found.index_add_(0, where.flatten(), of_cell.flatten())
         kept = torch.cat([torch.arange(size - 1, device=at.device), own])
         return found.view(size + dense, size + dense)[kept][:, kept]
+
+    def _transposed(self, pull: Tensor, of: Callable[[Tensor], Tensor]) -> Tensor:
+        """Sums (D,) of a function of the numbers of each column times (N,)."""
+        found = pull.new_zeros(self.decoder.code_size)
+        found[: self.decoder.global_size] = pull @ of(self.whole)
+        in_runs = self._in_runs(pull)
+        for by, weights, nodes, volume in zip(self.by, self.weights, self.nodes, self._volumes(found), strict=True):
+            of_run = of(by).mT @ (of(weights) * in_runs[:, :, None])
+            volume.index_add_(1, nodes.flatten(), of_run.transpose(0, 1).flatten(1))
+        return found
 
     def _volumes(self, code: Tensor) -> list[Tensor]:
         """The code's grids (C,R^3), where they lie in it."""
