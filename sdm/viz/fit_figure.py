@@ -125,7 +125,7 @@ def _figure(image: Tensor, grid: Grid, backend: Backend, result: FitResult, titl
             panel.set_yticks([])
     _list(axes[0, 3], _estimates(result))
     if result.diagnosis.warnings:
-        sure = "more is not known: see the report's warnings"
+        sure = "intervals may be off: see the report's warnings"
     else:
         sure = f"surface within {float(surface_deviations(backend, result).mean()):.4g} {unit}".rstrip() + " (1 sd)"
     _list(axes[1, 3], [sure,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 
 if TYPE_CHECKING:
+    import torch
+
     from sdm.core.mesh import TriangleMesh
     from sdm.fit import FitResult
     from sdm.fit.model.backend import Backend
@@ -44,7 +47,7 @@ def write_fit(
     blur: float,
     unit: str = "mm",
     record: dict[str, Any] | None = None,
-    surface: TriangleMesh | None = None,
+    surface: Callable[[], TriangleMesh] | None = None,
 ) -> None:
     """Write a fit's files, and print its estimates.
 
@@ -56,7 +59,7 @@ def write_fit(
         blur: That it took for granted.
         unit: Of lengths.
         record: The report's content, if not the result's own.
-        surface: The fitted surface, if not the backend's own.
+        surface: Makes the fitted surface, if it is not the backend's own; only where a file needs it.
 
     Raises:
         FitError: The fit is not to be trusted. Report, residuals and free form are written.
@@ -64,13 +67,13 @@ def write_fit(
     from sdm.io.meshes.write import save_mesh
     from sdm.viz.fit_figure import draw_fit, surface_of
 
-    with replacing(files.report) as part:
-        part.write_text(json.dumps(result.record() if record is None else record, indent=1) + "\n")
+    made = cache(partial(surface_of, backend, result) if surface is None else surface)
+    write_json(files.report, result.record() if record is None else record)
     save_residuals(scan, result, files.residuals)
-    save_free_form(scan, backend, result, blur, files.free_form, surface)
+    save_free_form(scan, backend.device, result, blur, files.free_form, made)
     result.require()
     if files.mesh is not None:
-        save_mesh(surface_of(backend, result) if surface is None else surface, files.mesh)
+        save_mesh(made(), files.mesh)
     if files.picture is not None:
         draw_fit(scan.values, scan.grid, backend, result, files.picture, unit=unit)
     print_fit(result, blur, unit)
@@ -121,20 +124,23 @@ def save_residuals(scan: Any, result: FitResult, path: Path | None) -> None:
 
 
 def save_free_form(
-    scan: Any, backend: Backend, result: FitResult, blur: float, path: Path | None, surface: TriangleMesh | None = None
+    scan: Any,
+    device: torch.device,
+    result: FitResult,
+    blur: float,
+    path: Path | None,
+    start: Callable[[], TriangleMesh],
 ) -> None:
     """Write the fitted surface with its free-form remainder, where a file for it is named and a shape was found.
 
-    Vertices go on from `surface`, or from the backend's.
+    Vertices go on from those of `start`.
     """
     if path is None or result.diagnosis.hopeless:
         return
     from sdm.fit.solve.free_form import free_form
     from sdm.io.meshes.write import save_mesh
-    from sdm.viz.fit_figure import surface_of
 
     own = blur if result.blur is None else result.blur[0]
-    start = surface_of(backend, result) if surface is None else surface
-    found = free_form(scan.values, scan.grid, start, blur=own, device=backend.device)
+    found = free_form(scan.values, scan.grid, start(), blur=own, device=device)
     save_mesh(found.mesh, path)
     print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 
 VERSION = 1
 
@@ -50,8 +49,7 @@ def write_report(entries: list[MeshEntry], path: Path, **more: Any) -> None:
         **more,
         "meshes": [{key: value for key, value in asdict(entry).items() if value is not None} for entry in entries],
     }
-    with replacing(path) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
 
 
 def failures_table(entries: list[MeshEntry]) -> list[str]:

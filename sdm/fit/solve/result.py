@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from sdm.fit.model.appearance import Appearance
 from sdm.fit.model.pose import State
 from sdm.fit.solve.diagnosis import Diagnosis
 from sdm.fit.solve.posterior import Posterior
-from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 from sdm.shapes import Parameter
 
 POSE_NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z")
@@ -167,8 +166,7 @@ class FitResult:
 
     def save(self, path: str | Path) -> None:
         """Write `record` as JSON; atomic."""
-        with replacing(Path(path)) as part:
-            part.write_text(json.dumps(self.record(), indent=1) + "\n")
+        write_json(path, self.record())
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:

@@ -7,15 +7,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from sdm.errors import FormatError
-from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 
 NAME, VERSION = "split.json", 1
 
 
 def write_split(path: Path, parts: dict[str, list[str]], **more: Any) -> None:
     """Write the lists of the parts, and what else there is to tell of how they came about."""
-    with replacing(path) as part:
-        part.write_text(json.dumps({"version": VERSION, **more, "parts": parts}, indent=1) + "\n")
+    write_json(path, {"version": VERSION, **more, "parts": parts})
 
 
 def read_split(path: Path) -> dict[str, list[str]]:

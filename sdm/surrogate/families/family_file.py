@@ -13,6 +13,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, MeshError, SDMError
 from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 from sdm.io.files.typed_record import check_record
 from sdm.stream.sample_maker import grid_record
 from sdm.surrogate.families.low_rank import LowRankSurrogate
@@ -56,8 +57,7 @@ def save_family_surrogate(
     }
     with replacing(folder / WEIGHTS) as part:
         part.write_bytes(save(tensors))
-    with replacing(folder / RECORD) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")
+    write_json(folder / RECORD, record)
 
 
 class FamilyPredictor:

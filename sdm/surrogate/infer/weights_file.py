@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 from sdm.io.files.typed_record import check_record
 from sdm.shapes import families, make_family
 from sdm.stream.sample_maker import grid_record
@@ -62,8 +63,7 @@ def save_weights(model: nn.Module, target: Path, **facts: Any) -> None:
     }
     with replacing(target) as part:
         part.write_bytes(save(tensors))
-    with replacing(target.with_suffix(".json")) as part:
-        part.write_text(json.dumps(config, indent=1) + "\n")
+    write_json(target.with_suffix(".json"), config)
 
 
 def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.Module, dict[str, Any]]:

@@ -38,11 +38,9 @@ def check(
         out: Write all figures to this JSON file too.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
-    import json
-
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.errors import FormatError, MeshError
-    from sdm.io.files.atomic import replacing
+    from sdm.io.files.json_file import write_json
     from sdm.shapes import family_record, load_family
     from sdm.shapes.family_check import check_family
 
@@ -65,8 +63,7 @@ def check(
     print(f"sizes        {found.smallest:.4g} to {found.largest:.4g}{volumes}")
     print(f"speed        {found.maps_per_second:.3g} maps of 64^3 a second on {found.device}")
     if out is not None:
-        with replacing(out) as part:
-            part.write_text(json.dumps({"family": family_record(family), **found.record()}, indent=1) + "\n")
+        write_json(out, {"family": family_record(family), **found.record()})
     if found.problems:
         raise MeshError(f"{name} is not sound: {'; '.join(found.problems)}")
     return None

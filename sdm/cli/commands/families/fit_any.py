@@ -118,11 +118,9 @@ def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
     """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
-    import json
-
     from sdm.errors import SDMError
     from sdm.fit.solve.fit_points import fit_points
-    from sdm.io.files.atomic import replacing
+    from sdm.io.files.json_file import write_json
     from sdm.io.meshes.write import save_mesh
     from sdm.viz.fit_figure import surface_at
 
@@ -137,8 +135,7 @@ def fit_family_points(
     backend = fitted.backend(1.0)
     fit = fit_points(found, backend, turn=turn)
     record = {**fit.record(backend.parameters), "points": len(found)}
-    with replacing(out) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")
+    write_json(out, record)
     if not fit.converged:
         raise SDMError(f"{NOT_CONVERGED}: {points} may be no shape of this family, or turned further (--turn)")
     state = fit.posterior.state

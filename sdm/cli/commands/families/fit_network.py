@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +43,7 @@ def fit_network(
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
     backend = DeepSDFBackend(model)
-    surface = None if fit.code is None else fit.code.mesh(backend)
+    surface = None if fit.code is None else partial(fit.code.mesh, backend)
     record = fit.record()
     write_fit(files, scan, backend, fit.result, blur=options.blur, unit="", record=record, surface=surface)
     if fit.code is not None:
@@ -54,23 +55,20 @@ def fit_network_points(
     found: Any, points: Path, name: str, out: Path, mesh: Path | None, turn: float, device: str
 ) -> None:
     """Fit a DeepSDF to points (N,3) of a file, and write report and surface."""
-    import json
-
     from sdm.cli.commands.families.fit_any import NOT_CONVERGED, print_points
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
     from sdm.deepsdf.infer.fit_code import surface_of_code
     from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf_points
     from sdm.errors import SDMError
-    from sdm.io.files.atomic import replacing
+    from sdm.io.files.json_file import write_json
     from sdm.io.meshes.write import save_mesh
 
     model = DeepSDF.load(name, device)
     fit = fit_deepsdf_points(found, model, turn=turn)
     backend = DeepSDFBackend(model)
     record = {**fit.components.record(backend.parameters), "points": len(found), "code": fit.code.record()}
-    with replacing(out) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")
+    write_json(out, record)
     if not (fit.components.converged and fit.code.converged):
         raise SDMError(f"{NOT_CONVERGED}: {points} may be no shape of this DeepSDF, or turned further (--turn)")
     if mesh is not None:

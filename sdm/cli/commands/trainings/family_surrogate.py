@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
     from sdm.core.device import choose_device
     from sdm.errors import SDMError
     from sdm.io.files.atomic import replacing
+    from sdm.io.files.json_file import write_json
     from sdm.shapes import family_record, load_family
     from sdm.surrogate.families.family_card import measure_card
     from sdm.surrogate.families.family_file import save_family_surrogate
@@ -43,8 +43,7 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
         card = measure_card(model, family, grid, seed=seed, device=where)
         units = {p.unit for p in family.parameters} & {"mm", "m", "cm"}
         card = {"family": family.name, "training": training, "unit": units.pop() if len(units) == 1 else None, **card}
-        with replacing(out / "card.json") as part:
-            part.write_text(json.dumps(card, indent=1) + "\n")
+        write_json(out / "card.json", card)
         with replacing(out / "card.md") as part:
             part.write_text(card_text(card))
         import torch
