@@ -162,6 +162,23 @@ def test_turned_grids(launches):
     assert len(launches) == 6
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02])
+def test_turned_grids_of_meshes_that_lie_elsewhere(launches, share):
+    """Rays at voxels ask for the boxes of this mesh's tree, not for those of the last one, which lie elsewhere."""
+    rng = np.random.default_rng(0)
+    for number in range(30):
+        vertices, faces = torus(300 + 8 * number)
+        turn, direction = (np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(2))
+        vertices = rng.uniform(0.2, 3) * vertices @ turn + 4 * rng.normal(size=3)
+        mesh = sdm.TriangleMesh(vertices.astype(np.float32), faces[rng.random(len(faces)) >= share])
+        size = 1.3 * np.ptp(vertices, axis=0).max()
+        origin = vertices.mean(axis=0) - direction @ np.full(3, size / 2)
+        grid = sdm.Grid(origin, [size / 15] * 3, (16, 16, 16), direction=direction)
+        found = sdm.signed_distance_map(mesh.to("cuda"), grid)
+        assert torch.equal(found.values, _expected(mesh.to("cuda"), grid))
+    assert len(launches) >= 30
+
+
 def test_an_open_mesh_between_closed_ones_leaves_the_recording(launches):
     case = load_case("torus-5000")
     grid = _grid(case, 0, (48, 48, 48))

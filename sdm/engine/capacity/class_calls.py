@@ -301,6 +301,7 @@ def _queue_map(
         options: Any = {"unjoined": unjoined, "features_later": True, "fillers": True, "is_bounded": True}
         options |= {"counts": new_zeros(empty, BUCKETS), "gathered": lambda: ordered.append(fork(device))}
         fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
+        boxes = fork(device)
         # Nothing before it waits for these, and they for nothing.
         with kernels_beside(values, TELLING, since=begin) as begun:
             work.begin_pass(kind.plan, 0)
@@ -313,6 +314,9 @@ def _queue_map(
             winding = boundary.winding(view)
 
         def before_boundary() -> Join:
+            # Triangles are marked in columns without boxes, but what follows asks the tree: the rays of a turned grid,
+            # and voxels by themselves.
+            boxes()
             if boundary is None:
                 return nothing
             joins[0]()
