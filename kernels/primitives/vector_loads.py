@@ -77,13 +77,18 @@ def load_row(data: wp.array2d(dtype=wp.int32), index: int) -> wp.vec4i:
     float4 v = reinterpret_cast<const float4*>(data.data)[index];
     return wp::vec4(v.x, v.y, v.z, v.w);
 #else
-    const float* v = data.data + 4 * index;
+    typedef float Row __attribute__((vector_size(16), aligned(4), may_alias));
+    // Volatile, as a compiler would read it in pieces, or some of it twice: another thread may write meanwhile.
+    const Row v = *reinterpret_cast<const volatile Row*>(data.data + 4 * (size_t)index);
     return wp::vec4(v[0], v[1], v[2], v[3]);
 #endif
 """
 )
 def read4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
-    """Four floats at 4 * index in one access, of an array that this kernel writes too."""
+    """Four floats at 4 * index in one access, of an array that this kernel writes too.
+
+    Where another thread writes the row by `write4`, it is the old or the new one, whole.
+    """
     ...
 
 
@@ -92,8 +97,8 @@ def read4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
 #if defined(__CUDA_ARCH__)
     reinterpret_cast<float4*>(data.data)[index] = make_float4(x, y, z, w);
 #else
-    float* v = data.data + 4 * index;
-    v[0] = x; v[1] = y; v[2] = z; v[3] = w;
+    typedef float Row __attribute__((vector_size(16), aligned(4), may_alias));
+    *reinterpret_cast<volatile Row*>(data.data + 4 * (size_t)index) = Row{x, y, z, w};
 #endif
 """
 )
