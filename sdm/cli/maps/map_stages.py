@@ -172,10 +172,15 @@ class MapStages:
     def _save(self, found: Measured) -> tuple[int, int]:
         if found.map is None:
             return found.inside or 0, found.ambiguous
-        field = found.map.wait()
-        workers = None if self._writers is None else self._writers.workers
-        write_made_from(field, found.read.task.target, found.read.digest, workers=workers)
-        return field.inside_voxels, found.ambiguous
+        try:
+            field = found.map.wait()
+            workers = None if self._writers is None else self._writers.workers
+            write_made_from(field, found.read.task.target, found.read.digest, workers=workers)
+            return field.inside_voxels, found.ambiguous
+        finally:
+            # Of one that failed too, or whoever measures the next would wait for it.
+            if self._writers is not None:
+                self._writers.free(found.map)
 
 
 def _map_of(values: Tensor, **kept: Any) -> SDM:

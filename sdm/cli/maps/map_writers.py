@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -39,15 +39,27 @@ class MapWriters:
 
     def __init__(self, workers: WorkerProcesses, rooms: SharedRooms) -> None:
         self.workers, self._rooms = workers, rooms
+        self._give: weakref.WeakKeyDictionary[HostCopy[Any], Callable[[], Any]] = weakref.WeakKeyDictionary()
 
     def host_copy(self, values: Tensor, make: Callable[[Tensor], T]) -> HostCopy[T]:
-        """Values on their way to a room, if they find place in one; it is free again when the copy is let go of."""
+        """Values on their way to a room, if they find place in one; it is free again when the copy is let go of.
+
+        Whoever is done with it before says so by `free`: an error keeps what it was raised about.
+        """
         if values.nbytes > self._rooms.size:
             return HostCopy(values, make)
         room = self._rooms.take()
         found = HostCopy(values, make, memory=room.content)
-        weakref.finalize(found, self._rooms.give, room).atexit = False
+        give = weakref.finalize(found, self._rooms.give, room)
+        give.atexit = False
+        self._give[found] = give
         return found
+
+    def free(self, copy: HostCopy[Any]) -> None:
+        """Give back the room of a copy that nobody reads any more."""
+        give = self._give.get(copy)
+        if give is not None:
+            give()
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -23,11 +24,13 @@ from sdm.cli.maps.run import run
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replace_by
 from sdm.io.files.nifti_stream import write_file
+from sdm.runtime.worker_processes.rooms import SharedRooms
 from sdm.runtime.worker_processes.shared_memory import can_share
 from tests.helpers.map_settings import map_settings
 
 pytestmark = pytest.mark.skipif(not can_share(), reason="this system has no memory without a name")
 COUNT = 12
+HERE = __name__
 
 
 @pytest.fixture
@@ -126,6 +129,26 @@ def test_a_map_larger_than_the_rooms_is_copied_elsewhere(folder, tmp_path, monke
     monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: 2)
     monkeypatch.setattr(map_writers, "_bytes_of_map", lambda settings: 1000)
     assert len(made(folder, tmp_path / "out", "nii.gz")[0]) == COUNT - 2
+
+
+def refuse(*_: object) -> None:
+    raise FormatError("the disk is full")
+
+
+def test_rooms_of_maps_that_cannot_be_written_are_given_back(folder, tmp_path, monkeypatch, capsys):
+    """More of them than rooms. An error knows where it was raised, and so the map."""
+    monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: 1)
+    monkeypatch.setattr(map_writers, "WRITE", f"{HERE}:refuse")
+    taken = []
+    monkeypatch.setattr(SharedRooms, "take", lambda rooms: taken.append(0) or rooms._free.get(timeout=20))
+    out = tmp_path / "out"
+    out.mkdir()
+    gc.disable()
+    try:
+        run([(file, out / f"{file.stem}.nii.gz") for file in sorted(folder.iterdir())], map_settings(10))
+    finally:
+        gc.enable()
+    assert capsys.readouterr().err.count("the disk is full") == len(taken) == COUNT - 1
 
 
 def test_what_cannot_be_written_is_left_as_it_was(tmp_path):
