@@ -8,9 +8,10 @@ Parts: `table` (four meshes against the faster of the peers, geometric means), `
 
 sdm's time goes from vertices and faces on the device to the map: topology, structure and query. It is that of repeated
 calls: on a GPU meshes with as many vertices, faces and boundary edges were mapped before, so the call is a CUDA graph;
-`first_ms` is the first call. A peer's time is its query alone. Medians; spread is slowest less fastest, of the median.
-A peer that would take longer than its share of the budget is timed on random slabs, one in each eighth of the grid, and
-scaled; `share` says how much that was. Voxels are checked against a float64 brute force, half of them near the surface.
+`first_ms` is the first call of a mesh of its counts, after one of a mesh of others (`cold_ms`). A peer's time is its
+query alone. Medians; spread is slowest less fastest, of the median. A peer that would take longer than its share of the
+budget is timed on random slabs, one in each eighth of the grid, and scaled; `share` says how much that was. Voxels are
+checked against a float64 brute force, half of them near the surface.
 """
 
 from __future__ import annotations
