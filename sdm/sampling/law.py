@@ -38,9 +38,12 @@ class SampleLaw:
         shares = (self.near, self.uniform, self.surface)
         lengths = (*self.deviations, self.box)
         if min(shares) < 0 or sum(shares) == 0 or (self.near and not self.deviations):
-            raise SDMError(f"{self} is no law: shares are whole numbers of at least 0, and not all are 0")
-        if not all(0 <= length < math.inf for length in lengths):
-            raise SDMError(f"{self} is no law: deviations and the box's half edge are lengths of at least 0")
+            raise SDMError(
+                f"near, uniform, surface = {', '.join(map(str, shares))} is no law: give whole numbers of at least 0, "
+                "not all of them 0; and samples near the surface need deviations"
+            )
+        if wrong := [length for length in lengths if not 0 <= length < math.inf]:
+            raise SDMError(f"{wrong[0]} is no law: deviations and the box's half edge are lengths of at least 0")
 
     def kinds(self, numbers: Tensor) -> Tensor:
         """The kind of each sample by its number (N,) int64: 0 near the surface, 1 anywhere, 2 on the surface."""

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.device import choose_device
+from sdm.core.device import SMALL, choose_device, free_memory, gibibytes
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.core.random import derive_seed
@@ -20,6 +20,9 @@ from sdm.sampling.flood_sign import flood_signs
 from sdm.sampling.law import PAPER, SURFACE, UNIFORM, SampleLaw
 from sdm.sampling.surface_points import in_triangle, triangle_areas
 from sdm.shapes.sampling import uniform
+
+# Of a sample: its number and kind, point, normal and distance.
+BYTES = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +91,33 @@ def sample(
 
     Raises:
         MeshError: The mesh has no size or no area.
-        SDMError: A number that makes no sense.
+        SDMError: A number that makes no sense, or more samples than fit into memory.
     """
     found = as_mesh(mesh)
     if count < 1 or first < 0:
         raise SDMError(f"{count} samples from number {first} were requested; give at least 1, from 0 or later")
     SignMethod(sign, hole_size)
     where = choose_device(device, found.vertices)
+    require_room(count, where)
     by = None if normalize is None else Normalization.of(found, normalize)
     measured = oriented(found if by is None else by.normalised(found), orient, where).to(where)
     index = MeshIndex(measured, where, warn=False)
     numbers = torch.arange(first, first + count, dtype=torch.int64, device=where)
     points, normals = draw_points(index.mesh, law, mesh_seed(seed, name or found.name), numbers)
     return measure(index, points, law.kinds(numbers), normals, by, sign=sign, hole_size=hole_size, closest=closest)
+
+
+def require_room(count: int, device: torch.device) -> None:
+    """Refuse more samples than fit into memory.
+
+    Raises:
+        SDMError: Says how much they need and how much there is.
+    """
+    needed = BYTES * count
+    if needed > SMALL and needed > (free := free_memory(device)):
+        raise SDMError(
+            f"{count:,} samples need {gibibytes(needed)}, but {device} has {gibibytes(free)} free: draw fewer"
+        )
 
 
 def measure(

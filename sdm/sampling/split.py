@@ -80,7 +80,8 @@ def split_folder(
         MeshError: No mesh can be used.
     """
     if not all(0 < share < 1 for share in shares.values()) or sum(shares.values()) >= 1:
-        raise SDMError(f"the shares {shares} leave nothing for {REST}: give shares above 0 that sum to less than 1")
+        told = " and ".join(f"{share:g} for {part}" for part, share in shares.items())
+        raise SDMError(f"shares of {told} leave nothing for {REST}: give shares above 0 that sum to less than 1")
     shapes, skipped = _shapes(names, files, torch.device(device))
     if not shapes:
         raise MeshError(

@@ -132,7 +132,8 @@ def check_promises(family: Family, said: str) -> None:
         MeshError: In one sentence that begins with `said`.
     """
     try:
-        parameters, faces = family.parameters, family.faces
+        parameters, faces = family.parameters, family.triangles
+        family.faces_on("cpu")
     except Exception as error:
         raise MeshError(f"{said} needs `parameters` and `triangles`: {_said(error)}") from error
     if not parameters or not all(isinstance(p, Parameter) for p in parameters):

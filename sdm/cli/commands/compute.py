@@ -13,7 +13,7 @@ from sdm.cli.common.argument_types import Device
 from sdm.cli.common.numbers import numbers
 
 REPORT = "report.json"
-Ending = Literal["nii.gz", "nii", "npz", "nrrd", "zarr", "nvdb"]
+Ending = Literal["nii.gz", "nii", "npz", "nrrd", "mha", "mhd", "vti", "zarr", "nvdb"]
 
 
 def compute(
@@ -102,7 +102,7 @@ def compute(
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
-    from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.common.inputs import refuse_inputs, refuse_twice
     from sdm.cli.common.output_files import plan
     from sdm.cli.maps.map_settings import Settings
     from sdm.cli.maps.run import run
@@ -178,6 +178,7 @@ def compute(
         report = folder / REPORT
     refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
     if report is not None:
+        refuse_twice(report, (target for _, target in jobs))
         check_file(report)
     where = {"devices": devices_for(device), "ray": ray, "folder": folder}
     return run(jobs, settings, report=report, skip_bad=skip_bad, **where)

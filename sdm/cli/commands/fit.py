@@ -72,7 +72,7 @@ def fit(
         model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
-        turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
+        turn: How far the shape may be turned from the family's own frame, standard deviation about each axis, rad.
             From 1 on the search begins at rotations all around.
         mirror: Fit mirror images of the shapes: ears of the other side.
         backend: exact distances; the surrogate's, anchored near the end by two exact evaluations; or hybrid, the
@@ -163,6 +163,7 @@ def _refuse_with_points(picture: Path | None, residuals: Path | None, formation:
 
 def _check_targets(out: Path, meshes: list[Path | None], picture: Path | None, residuals: Path | None) -> None:
     """Find out before the fit, which takes minutes, what could not be written after it."""
+    from sdm.cli.common.inputs import refuse_twice
     from sdm.errors import FormatError
     from sdm.io.maps.formats import check_file, format_of
     from sdm.io.meshes.write import ending_to_write
@@ -178,5 +179,4 @@ def _check_targets(out: Path, meshes: list[Path | None], picture: Path | None, r
     targets = [target for target in (out, *meshes, picture, residuals) if target is not None]
     for number, target in enumerate(targets):
         check_file(target)
-        if target.resolve() in [other.resolve() for other in targets[:number]]:
-            raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
+        refuse_twice(target, targets[:number])

@@ -28,7 +28,7 @@ def predict(
     surrogate is from the exact map is in its model card. It refuses parameters outside the box that it was trained on.
 
     Args:
-        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb.
+        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .mha, .mhd, .vti, .zarr, .nvdb.
         model: Folder that sdm train sdmnn --family wrote.
         values: All parameters by name, for example a=3.6 alpha=0.3 b=0.139 phi=-0.17.
         a: Of a cochlea, radius of the spiral at the base, 2 to 5 [mm].

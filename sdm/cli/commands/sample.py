@@ -72,7 +72,7 @@ def sample(
         dataset: Name of the dataset in DeepSDF's paths.
         split: The part of the folder to sample, of those that sdm split made of it. The lists of the parts are written
             beside the samples of all, too: splits/train.json, CLASS/train.lst, and in sampling.json.
-        closest: With zarr no, with webdataset also write closest points and normals.
+        closest: Write closest points and normals too; for --layout webdataset.
         sign: winding goes by the generalised winding number; flood calls inside what a ball from outside cannot reach,
             for meshes with holes or whose faces look all ways; none writes unsigned distances.
         hole_size: With --sign flood, the ball's diameter, in the normalised unit: narrower gaps are closed.

@@ -28,7 +28,7 @@ def watertight(
     hidden: Literal["drop", "keep"] = "drop",
     method: Literal["cubes", "dual"] = "cubes",
     format: Annotated[  # noqa: A002
-        Literal["ply", "stl", "obj", "off", "glb"] | None,
+        Literal["ply", "stl", "obj", "off", "glb", "vtk", "vtp"] | None,
         tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or ply)"),
     ] = None,
     report: Annotated[

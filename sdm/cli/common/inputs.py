@@ -1,4 +1,4 @@
-"""Check of inputs: a command that would write over what it reads is refused before any work."""
+"""Check of names: a command that would write over what it reads, or over its own output, is refused before any work."""
 
 from __future__ import annotations
 
@@ -18,6 +18,18 @@ def refuse_inputs(targets: Iterable[Path | None], inputs: Iterable[Path | None])
     for target in targets:
         if _identity(target) in read:
             raise FormatError(f"{target} is an input too, and would be lost: choose another name for the output")
+
+
+def refuse_twice(target: Path | None, others: Iterable[Path | None]) -> None:
+    """Refuse an output that has the name of another; None stands for one that is not asked for.
+
+    Raises:
+        FormatError: One would replace the other.
+    """
+    # Of very many outputs those alone are looked up that are called alike.
+    alike = [] if target is None else [other for other in others if other is not None and other.name == target.name]
+    if target is not None and target.resolve() in [other.resolve() for other in alike]:
+        raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
 
 
 def _identity(path: Path | None) -> tuple[int, int] | None:

@@ -71,6 +71,8 @@ def write_label_maps(
     for value, target in zip(values, targets, strict=True):
         begin = time.perf_counter()
         mask = where == value
+        if signed and smooth is None and bool(mask.all()):
+            raise SDMError(f"every voxel of {source} is of class {value}, so that it has no surface to measure from")
         if smooth is None:
             found = euclidean_distance_transform(mask, field.grid.spacing, signed=signed, surface=surface)
             made = SDM(found, field.grid, sign=None if signed else "none")
@@ -96,7 +98,7 @@ def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -
         if not there:
             raise SDMError(f"{source} holds nothing but 0: there is no class to measure")
         return there
-    missing = [value for value in classes if value not in there and value != 0]
+    missing = [value for value in classes if value not in there and not (value == 0 and bool((labels == 0).any()))]
     if missing:
         raise SDMError(f"{source} has no class {missing[0]}: there are {', '.join(map(str, there)) or 'none'}")
     return list(dict.fromkeys(classes))

@@ -22,6 +22,7 @@ VALUES = (
     (re.compile(r"no type matching (\S+) could be instantiated from \[(.*)\]"), r"takes \1, not \2"),
 )
 PARSING = re.compile(r"Error parsing (\S+): (.*)")
+CHOICE = re.compile(r"invalid choice (.*) for argument '(.*)'\. Expected one of \((.*?),?\)")
 
 
 class UsageError(Exception):
@@ -50,6 +51,11 @@ def sentence(drawn: str) -> str:
 
 
 def _in_plain_words(said: str) -> str:
+    chosen = CHOICE.fullmatch(said)
+    if chosen is not None:
+        # tyro has them in no order, and among them that nothing is given.
+        known = sorted(word.strip(" '") for word in chosen[3].split(","))
+        return f"{chosen[2]} takes one of {', '.join(word for word in known if word != 'None')}, not {chosen[1]}"
     found = PARSING.fullmatch(said)
     if found is None:
         return said

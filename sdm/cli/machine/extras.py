@@ -14,7 +14,7 @@ USES = {
     "viewer": "sdm view: a map in a window",
     "explore": "sdm explore: shapes, maps and fits in a browser",
     "remote": "meshes, maps and datasets by addresses such as s3://; and s3fs, gcsfs or aiohttp",
-    "ray": "sdm generate --ray: datasets by several machines",
+    "ray": "--ray of sdm compute, generate, sample and watertight: work shared by several machines",
     "jax": "sdm.jax: distances and maps inside jax.jit",
     "monai": "sdm.monai: distance maps of labels in MONAI's pipelines",
     "torchio": "sdm.torchio: the same in TorchIO's",

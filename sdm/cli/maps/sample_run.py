@@ -25,6 +25,7 @@ from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import Instance, instances_of
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
+from sdm.sampling.sample import require_room
 from sdm.sampling.sample_folder import FolderSampling
 
 REPORT = "report.json"
@@ -108,11 +109,14 @@ def run(
     if not found:
         where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
+    if out.exists() and not out.is_dir():
+        raise FormatError(f"{shown(out)} is a file: name a folder for the samples")
     roots = [path for path in meshes if path.is_dir()]
     sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
     named = dataset or (roots[0].resolve().name if roots else "meshes")
     layout = layout_called(layout_name, named)
     recipe, where = options.recipe(layout_name, layout), choose_device(device)
+    require_room(recipe.count, where)
     times = StageTimes() if times is None else times
     entries: list[MeshEntry] = []
     try:

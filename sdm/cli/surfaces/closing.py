@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.common.inputs import refuse_inputs, refuse_twice
 from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
@@ -86,6 +86,7 @@ def run(
     """
     if report is not None:
         refuse_inputs([report], (source for source, _ in jobs))
+        refuse_twice(report, (target for _, target in jobs))
     journal, times = Journal(folder, report, resume=resume), StageTimes()
     entries: list[MeshEntry] = []
     found: dict[str, dict[str, Any]] = {}

@@ -18,6 +18,9 @@ from sdm.errors import SDMError
 CUT = 4.0
 # Surfaces that are tried for the right volume, and the share of it that is close enough.
 STEPS, CLOSE = 5, 1e-4
+# Largest deviation, as a share of a label's longest edge, or in voxels: beyond it no shape is left, and room for it is
+# many times the volume.
+MOST_SMOOTHING = (0.25, 4.0)
 
 
 def label_surface(
@@ -44,17 +47,24 @@ def label_surface(
         A closed mesh in mm, facing outward; voxel (0,0,0) has its centre at the origin.
 
     Raises:
-        SDMError: The label is empty, or the smoothing is not positive.
+        SDMError: The label is empty, or the smoothing is not positive, or wider than the label.
         GridError: The spacing is not positive, or the mask is not a volume.
     """
     from scipy.ndimage import gaussian_filter
 
     size = spacing_of(spacing_mm)
-    if smoothing_mm <= 0:
+    if not smoothing_mm > 0:
         raise SDMError(f"a smoothing of {smoothing_mm} mm is not positive; half a voxel or more is useful")
     inside = mask.detach() != 0
     if not bool(inside.any()):
         raise SDMError("the label is empty, so it has no surface; give a volume with foreground")
+    places = inside.nonzero()
+    edge = float(((places.amax(0) - places.amin(0) + 1).cpu() * torch.tensor(size)).max())
+    if smoothing_mm > max(MOST_SMOOTHING[0] * edge, MOST_SMOOTHING[1] * max(size)):
+        raise SDMError(
+            f"a smoothing of {smoothing_mm:g} mm leaves nothing of a label that is {edge:.4g} mm long; about a voxel "
+            "takes the steps away"
+        )
     room = [int(np.ceil(CUT * smoothing_mm / s)) + 1 for s in size]
     padded = pad(inside.byte(), [n for axis in reversed(room) for n in (axis, axis)])
     values = euclidean_distance_transform(padded, size, signed=True, surface="faces").cpu()

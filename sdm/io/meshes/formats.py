@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sdm.errors import MeshError
+from sdm.io.maps.formats import is_map_name
 from sdm.io.meshes.neuro.brain_surfaces import read_freesurfer, read_gifti
 from sdm.io.meshes.obj import read_obj
 from sdm.io.meshes.off import read_off
@@ -42,7 +43,7 @@ USUAL = ("stl", "ply", "obj", "off", "glb", "gltf")
 
 def known_endings() -> list[str]:
     """The endings of every format, the usual ones first."""
-    return [*USUAL, *sorted({*READERS, *TRIMESH, *ARCHIVES, *DRAWINGS} - {*USUAL})]
+    return [*USUAL, *sorted({*READERS, *TRIMESH, *ARCHIVES} - {*USUAL})]
 
 
 def mesh_endings() -> tuple[str, ...]:
@@ -58,11 +59,16 @@ def ending_of(path: Path) -> str:
     """
     name = path.name.lower()
     # The longer one of .bz2 and .tar.bz2.
-    fitting = [ending for ending in known_endings() if name.endswith(f".{ending}")]
+    fitting = [ending for ending in (*known_endings(), *DRAWINGS) if name.endswith(f".{ending}")]
     found = max(fitting, key=len, default=None) or _of_plugins(name)
     if found is None:
-        ending = f"ending {path.suffix}" if path.suffix else "name without an ending"
-        raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join(known_endings())}")
+        if is_map_name(path):
+            raise MeshError(
+                f"{path} ends like an image or a map, not like a mesh: sdm edt takes label volumes, one at a time, and "
+                "sdm.load(...).to_mesh() makes the surface of a map"
+            )
+        ending = f"the ending {path.suffix}" if path.suffix else "a name without an ending"
+        raise MeshError(f"{path} is no mesh by {ending}; known are .{', .'.join(known_endings())}")
     if not _is_installed(found):
         raise MeshError(f"{path} needs {TRIMESH[found]} to be read: pip install '.[formats]' in a clone")
     return found

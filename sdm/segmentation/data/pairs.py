@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.errors import FormatError, GridError
+from sdm.errors import FormatError, GridError, SDMWarning
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.folder import named, read_image
 from sdm.segmentation.data.hdf5_cases import ENDINGS as HDF5
@@ -53,7 +54,13 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
 
 
 def labels_of(place: Path) -> dict[str, Path]:
-    """A label's file, or those of a folder, by name; see `named`."""
+    """A label's file, or those of a folder, by name; see `named`.
+
+    Raises:
+        FormatError: Nothing is there.
+    """
+    if not place.exists():
+        raise FormatError(f"there is no file or folder {place}")
     return named([place] if place.is_file() else nifti_files(place) or hdf5_files(place))
 
 
@@ -63,6 +70,9 @@ def mask_of(case: Case) -> Tensor:
     Raises:
         FormatError: It is no label of whole numbers.
         GridError: Its axes are not orthogonal.
+
+    Warns:
+        SDMWarning: It has several classes, all of which count.
     """
     try:
         Grid.from_affine(case.affine, case.image.shape)
@@ -70,4 +80,12 @@ def mask_of(case: Case) -> Tensor:
         raise GridError(f"{case.source} cannot be evaluated: {error}") from None
     if case.source.suffix.lower() in HDF5 and case.label is not None:
         return case.label
-    return torch.from_numpy(foreground(case.image.numpy(), case.source))
+    values = case.image.numpy()
+    mask = foreground(values, case.source)
+    found = values[mask]
+    if found.size and (least := np.round(found.min())) != (most := np.round(found.max())):
+        warnings.warn(
+            f"{case.source} has several classes, {least:g} to {most:g}, and all count as foreground", SDMWarning,
+            stacklevel=2,
+        )  # fmt: skip
+    return torch.from_numpy(mask)

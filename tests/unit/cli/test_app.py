@@ -66,7 +66,7 @@ def test_help_says_what_is_so(words, said, capsys):
     assert said in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
-@pytest.mark.parametrize("name", ["compute", "edt", "view", "decode"])
+@pytest.mark.parametrize("name", ["compute", "edt", "view", "decode", "predict"])
 def test_help_names_every_format_of_maps(name, capsys):
     assert main([name, "--help"]) == 0
     said = capsys.readouterr().out
@@ -106,7 +106,11 @@ def test_help_tells_units_and_conventions(capsys):
         (["comput", "x"], "there is no command comput; did you mean compute"),
         (["xyz"], "there is no command xyz: use one of inspect, compute"),
         (["compute", "a.stl", "-o", "x.npz", "--format", "tif"], "tif"),
-        (["compute", "a.stl", "-o", "x.npz", "--orient", "up"], "up"),
+        (["compute", "a.stl", "-o", "x.npz", "--orient", "up"], "--orient takes one of auto, keep, parts, not 'up'"),
+        (
+            ["watertight", "a.stl", "-o", "x", "--format", "x"],
+            "--format takes one of glb, obj, off, ply, stl, vtk, vtp,",
+        ),
         (["compute", "a.stl", "-o", "x.npz", "--wrong"], "--wrong"),
     ],
 )

@@ -42,7 +42,15 @@ CASES = [
     ("compute ball.ply -o map.npz --grid-like map.npz", "is an input too"),
     ("inspect folder.ply", "folder.ply is a folder"),
     ("inspect loop.ply", "loop.ply cannot be read: "),
-    ("inspect map.npz", "no mesh has the ending .npz"),
+    ("inspect map.npz", "ends like an image or a map"),
+    ("inspect file", "file is no mesh by a name without an ending; known are .stl"),
+    ("compute ball.ply -o new.npz --report new.npz", "new.npz is given for two outputs"),
+    ("watertight ball.ply -o new.ply --report new.ply", "new.ply is given for two outputs"),
+    (
+        "compute ball.ply -o new --format tif",
+        "--format takes one of mha, mhd, nii, nii.gz, npz, nrrd,",
+    ),
+    ("sample ball.ply -o file", "file is a file: name a folder for the samples"),
     # Numbers.
     ("compute ball.ply -o new.npz --resolution 1e9", "takes a whole number"),
     ("compute ball.ply -o new.npz --resolution 1.5", "takes a whole number"),
@@ -64,6 +72,14 @@ CASES = [
     ("compute ball.ply -o new.npz --scale 1e-300", "has size zero"),
     ("compute ball.ply -o new.npz --hole-size 1", "with sign='winding' it says nothing"),
     ("compute ball.ply -o new.npz --sign flood --hole-size nan", "hole_size is nan"),
+    ("sample ball.ply -o new --count 1000000000000", "1,000,000,000,000 samples need"),
+    ("sample ball.ply -o new --deviations nan", "nan is no law"),
+    ("edt one.nii.gz -o new.npz --smooth nan", "a smoothing of nan mm is not positive"),
+    ("edt one.nii.gz -o new.npz --smooth 60", "a smoothing of 60 mm leaves nothing of a label that is 3 mm long"),
+    ("edt full.nii.gz -o new.npz", "every voxel of full.nii.gz is of class 1"),
+    ("edt full.nii.gz -o new.npz --classes 0", "full.nii.gz has no class 0: there are 1"),
+    ("split folder.ply --val 0.9 --test 0.9", "no mesh file was found in folder.ply"),
+    ("split good -o new.json --val 0.9 --test 0.9", "shares of 0.9 for val and 0.9 for test leave nothing for train"),
     ("compute nan.off -o new.npz", "vertex 4 of nan.off is [nan, nan, nan]"),
     ("compute float64.off -o new.npz", "every coordinate must be finite"),
     ("compute largest.off -o new.npz", "at most 1e+30 is supported"),
@@ -118,6 +134,7 @@ CASES = [
     ("evaluate label.nii.gz other.nii.gz", "has the shape"),
     ("evaluate label.nii.gz label.nii.gz --json label.nii.gz", "is an input too"),
     ("evaluate folder.ply label.nii.gz", "no labels to evaluate"),
+    ("evaluate label.nii.gz nowhere.nii.gz", "there is no file or folder nowhere.nii.gz"),
     ("view map.npz --out new.txt", "does not end in .png"),
     ("view ball.ply --resolution 0 --out new.png", "resolution 0"),
     ("view cut.npz --out new.png", "cut.npz cannot be read"),
@@ -159,6 +176,12 @@ def _filled(place: Path) -> Path:
     zeros = np.zeros((8, 8, 8), np.uint8)
     for name, values in (("label.nii.gz", zeros), ("other.nii.gz", zeros[:7]), ("four.nii", zeros[..., None, None])):
         nibabel.save(nibabel.Nifti1Image(np.repeat(values, 2, -1), np.eye(4)), name)
+    few = np.zeros_like(zeros)
+    few[3:6, 3:5, 3:5] = 1
+    for name, values in (("one.nii.gz", few), ("full.nii.gz", np.ones_like(zeros))):
+        nibabel.save(nibabel.Nifti1Image(values, np.eye(4)), name)
+    Path("good").mkdir()
+    shutil.copy("ball.ply", "good/ball.ply")
     # By its bytes: nibabel writes no such header. The first row of the affine begins at 280.
     for name, at, number in (("nan_origin.nii", 292, np.nan), ("flat.nii", 280, 0.0)):
         nibabel.save(nibabel.Nifti1Image(zeros, np.eye(4)), name)

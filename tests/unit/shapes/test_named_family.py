@@ -42,6 +42,14 @@ class Doubles(Ball):
     def vertices(self, theta):
         return super().vertices(theta).double()
 
+class Own(Ball):
+    """Sets `faces`, not `triangles`."""
+    def __init__(self):
+        super().__init__()
+        self.own = self.triangles
+        del self.triangles
+    faces = property(lambda self: self.own)
+
 def crossing():
     return Ball(twice=True)
 
@@ -95,10 +103,11 @@ def test_a_record_runs_no_code(place):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("ball.py:Torus", "no family called 'Torus'; it has Ball, Doubles, ready"),
+        ("ball.py:Torus", "no family called 'Torus'; it has Ball, Doubles, Own, ready"),
         ("ball.py", "say which family of it"),
         ("ball.py:number", "not a sdm.shapes.Family"),
         ("ball.py:Doubles", "torch.float32 is needed"),
+        ("ball.py:Own", "needs `parameters` and `triangles`: AttributeError"),
         ("none.py:Ball", "cannot be read: No such file"),
         ("broken.py:Ball", "cannot be run: SyntaxError"),
         ("leaves.py:Ball", "cannot be run: SystemExit: 3"),

@@ -111,6 +111,6 @@ def _print_extras(console: Console, extras: list[dict[str, Any]]) -> None:
     for extra in extras:
         state = "missing: " + ", ".join(extra["missing"]) if extra["missing"] else "installed"
         table.add_row(f"\\[{extra['name']}]", state, extra["use"])
-    console.print('\nextras, each by pip install "warp-sdm\\[NAME]"')
+    console.print('\nextras, each by pip install ".\\[NAME]" in a clone')
     console.print(table)
     console.print()

@@ -377,3 +377,15 @@ def test_several_networks_together(trained, tmp_path, capsys):
     said = refused([*segment, "--model", str(one), "--model", str(tmp_path / "no.pt")], capsys)
     assert "no.pt is not there" in said
     assert not (tmp_path / "none").exists()
+
+
+def test_several_classes_are_told_to_be_one_foreground(tmp_path, capsys):
+    labels = np.zeros((6, 6, 6), np.uint8)
+    labels[1:4, 1:4, 1:3], labels[1:4, 1:4, 3:5] = 1, 2
+    for name, values in (("two", labels), ("one", labels > 0)):
+        nib.save(nib.Nifti1Image(values.astype(np.uint8), np.eye(4)), tmp_path / f"{name}.nii.gz")
+    assert main(["evaluate", str(tmp_path / "two.nii.gz"), str(tmp_path / "one.nii.gz")]) == 0
+    said = capsys.readouterr()
+    assert "| 100.00 |" in said.out
+    assert "two.nii.gz has several classes, 1 to 2, and all count as foreground" in said.err
+    assert said.err.count("\n") == 1

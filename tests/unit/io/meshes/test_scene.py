@@ -45,7 +45,7 @@ def test_formats_that_are_not_read(ending, tmp_path):
     if ending in trimesh.available_formats():
         pytest.skip("a package that reads it is installed")
     (tmp_path / f"a.{ending}").write_text("x")
-    with pytest.raises(MeshError, match=rf"no mesh has the ending \.{ending}; known are .*\.3mf.*\.dae"):
+    with pytest.raises(MeshError, match=rf"is no mesh by the ending \.{ending}; known are .*\.3mf.*\.dae"):
         load_mesh(tmp_path / f"a.{ending}")
 
 
