@@ -210,8 +210,12 @@ def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
     numbers = _numbers(wanted)
     fits = numbers is not None and numbers.shape in ((), (3,)) and not isinstance(wanted, str | bytes | bool)
     if numbers is None or not fits or not ((numbers >= 1) & (numbers % 1 == 0)).all():
+        if isinstance(wanted, str | bytes):
+            said = repr(wanted)
+        else:
+            said = str(wanted) if numbers is None or numbers.ndim < 2 else f"of shape {numbers.shape}"
         raise GridError(
-            f"the grid's resolution {wanted} must be a whole number of at least 1, or three, one for each axis"
+            f"the grid's resolution {said} must be a whole number of at least 1, or three, one for each axis"
         )
     return np.broadcast_to(numbers, 3)
 

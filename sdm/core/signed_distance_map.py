@@ -74,7 +74,8 @@ class SDM:
         truncated: float | None = None,
         normalization: Normalization | None = None,
     ) -> None:
-        if isinstance(values, np.ndarray):
+        if not isinstance(values, Tensor):
+            values = np.asarray(values)
             # What NumPy computed is a map too; float64 is rounded, as the engine's own values are.
             if values.dtype.kind not in "fiu":
                 raise SDMError(f"values of a map are real numbers, not {values.dtype}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Literal, Unpack, overload
@@ -223,6 +224,8 @@ def signed_distance_maps(
         wanted = Wanted(method, orient, return_closest)
         maps = maps_of(meshes, faces if grid is None else grid, single, wanted, **options)
         return maps if isinstance(meshes, Iterator) else list(maps)
+    if isinstance(vertices, TriangleMesh | str | os.PathLike):
+        raise MeshError("many meshes are wanted: give them in a list, [mesh], or one to sdm.signed_distance_map")
     if orient != "keep" or compare_signs:
         what = f"orient={orient!r}" if orient != "keep" else "compare_signs=True"
         raise SDMError(f"{what} is for single meshes and lists of them, not for a batch that shares its faces")

@@ -167,8 +167,12 @@ def _sign(by_winding: bool, hidden: Hidden) -> Sign:
 
 def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:
     """Cubic voxels around a mesh, with room for a surface at an offset; None for half a voxel."""
-    if isinstance(resolution, bool) or resolution != int(resolution) or resolution < SMALLEST:
-        raise GridError(f"the resolution {resolution} is too low for a surface; give a whole number from {SMALLEST} on")
+    # A text or a truth value is no number of voxels, nor is NaN.
+    is_number = isinstance(resolution, int | float | np.number) and not isinstance(resolution, bool)
+    if not (is_number and resolution >= SMALLEST and resolution % 1 == 0):
+        raise GridError(
+            f"the resolution {resolution!r} is too low for a surface; give a whole number from {SMALLEST} on"
+        )
     low, high = mesh.bounds
     size = high - low
     voxels = resolution - 1 - 2 * BORDER - (2 * DEFAULT_OFFSET if offset is None else 0)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sdm.core.device import choose_device
 from sdm.core.grid import Grid
-from sdm.core.mesh import TriangleMesh
+from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes import sampling
@@ -155,7 +155,7 @@ class Family(ABC):
         Raises:
             MeshError: One sentence: the wrong width, a value that is not finite, or one outside the box.
         """
-        tensor = theta if isinstance(theta, Tensor) else torch.as_tensor(theta)
+        tensor = theta if isinstance(theta, Tensor) else as_tensor(theta, torch.float32, "the values of theta")
         tensor = as_theta(tensor[None] if tensor.ndim == 1 else tensor, len(self.parameters), self.name)
         values = tensor.detach().cpu()
         for column, p in enumerate(self.parameters):
@@ -192,6 +192,8 @@ class Family(ABC):
         device: torch.device | str | None = None,
     ) -> Tensor:
         """theta (count,P) of the samples number `start` to `start + count - 1`: see `sample_at`."""
+        if count < 0 or start < 0:
+            raise MeshError(f"{count} samples from number {start} were requested; both are at least 0")
         where = choose_device(device)
         index = torch.arange(start, start + count, dtype=torch.int64, device=where)
         return self.sample_at(index, seed=seed, sampler=sampler)
@@ -281,6 +283,8 @@ def as_theta(theta: Tensor, width: int, name: str) -> Tensor:
     Raises:
         MeshError: Another shape.
     """
+    if not isinstance(theta, Tensor):
+        raise MeshError(f"theta is {type(theta).__name__}; {name} needs a tensor (B, {width})")
     if theta.ndim != 2 or theta.shape[1] != width:
         raise MeshError(f"theta has shape {tuple(theta.shape)}; {name} needs (B, {width})")
     return theta.to(torch.float32)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import Any, SupportsIndex
 
 import torch
 from torch import Tensor
@@ -18,7 +19,7 @@ from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.map_check import ValuesCheck, named
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
-from sdm.errors import DeviceError, SDMError
+from sdm.errors import DeviceError, MeshError, SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
@@ -57,7 +58,8 @@ class Maker:
     Raises:
         DeviceError: The device is not there.
         GridError: A map that does not fit into memory.
-        SDMError: A type or a truncation that makes no sense, or distances that float16 may not hold.
+        MeshError: No family.
+        SDMError: A seed, a type or a truncation that makes no sense, or distances that float16 may not hold.
 
     A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
     so for all arithmetic by element, but not for every matrix product.
@@ -77,6 +79,10 @@ class Maker:
         hole_size: float | None = None,
     ) -> None:
         self.signs = SignMethod(sign, hole_size)
+        if not isinstance(family, Family):
+            raise MeshError(f"{family!r:.80} is no family of shapes: sdm.shapes.load_family makes one of a name")
+        if not isinstance(seed, SupportsIndex):
+            raise SDMError(f"the seed is {seed!r}; give a whole number")
         if dtype not in DTYPES:
             raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
         if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
@@ -86,7 +92,7 @@ class Maker:
             _refuse_overflow(grid, truncate)
         if device is None or str(device).startswith("cuda"):
             refuse_fork(getattr(torch.cuda, "_is_in_bad_fork", bool)())
-        self.family, self.grid, self.seed = family, grid, int(seed)
+        self.family, self.grid, self.seed = family, grid, operator.index(seed)
         self.sampler = as_sampler(sampler)
         self.device = choose_device(device)
         self.dtype, self.truncate = dtype, None if truncate is None else float(truncate)

@@ -93,8 +93,8 @@ class SDMStream(IterableDataset[Batch]):
         stop: int | None = None,
     ) -> None:
         super().__init__()
-        if batch_size < 1:
-            raise SDMError(f"the batch size is {batch_size}; give at least 1")
+        if batch_size < 1 or batch_size % 1:
+            raise SDMError(f"the batch size is {batch_size}; give a whole number of at least 1")
         if prefetch < 1:
             raise SDMError(f"prefetch is {prefetch}; give at least 1 batch")
         self.batch_size, self._prefetched = int(batch_size), int(prefetch)
