@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 import torch
 from nibabel.fileholders import FileHolder
 from nibabel.imageglobals import LoggingOutputSuppressor
-from nibabel.nifti1 import Nifti1Extension
 from nibabel.nifti2 import Nifti2Header
 from nibabel.openers import ImageOpener
 
@@ -23,11 +21,9 @@ from sdm.errors import FormatError
 from sdm.io.files.nifti_stream import pieces, write_file
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
+from sdm.io.maps.nifti_header import nifti_header
 from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
 
-# NIfTI-1 counts voxels with 16 bits.
-LARGEST_NIFTI_1 = 32767
-COMMENT = 6
 # Of a record of ours among the comments.
 BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
@@ -36,7 +32,7 @@ SCANNER = 1
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        for piece in pieces(*_head_and_values(_image(field, made_from))):
+        for piece in pieces(*planned(field, made_from)):
             file.write(piece.data)
 
 
@@ -50,7 +46,9 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
 def planned(field: SDM, made_from: str | None = None, *, space: int = SCANNER) -> tuple[bytes, np.ndarray]:
     """Arguments of `write_file` after the path."""
-    return _head_and_values(_image(field, made_from, space))
+    values = field.numpy().astype(np.float32, copy=False)
+    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
+    return nifti_header(field.grid.affine, field.grid.shape, to_line({KEY: kept}).encode(), space), values
 
 
 def read(path: Path) -> SDM:
@@ -78,32 +76,6 @@ def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
     kept = (_said(extension.get_content(), path) for extension in opened(path).header.extensions)
     return next((found for found in kept if found is not None), None)
-
-
-def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
-    affine = field.grid.affine
-    large = max(field.grid.shape) > LARGEST_NIFTI_1
-    values = field.numpy().astype(np.float32, copy=False)
-    image = (nib.Nifti2Image if large else nib.Nifti1Image)(values, affine)
-    image.header.set_xyzt_units("mm", "unknown")
-    image.header["descrip"] = b"signed distance, negative inside"
-    image.header.set_intent("estimate", name="distance")
-    image.set_sform(affine, space)
-    image.set_qform(affine, space)
-    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
-    text = to_line({KEY: kept})
-    image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
-    return image
-
-
-def _head_and_values(image: Any) -> tuple[bytes, np.ndarray]:
-    """Header of an image, with all that is before its values, and these: the bytes of nibabel's `to_stream`."""
-    image.update_header()
-    header, values = image.header, image.dataobj
-    header.set_slope_inter(1.0, 0.0)
-    head = io.BytesIO()
-    header.write_to(head)
-    return head.getvalue().ljust(header.get_data_offset(), b"\0"), values
 
 
 def opened(path: Path, holder: FileHolder | None = None) -> Any:
