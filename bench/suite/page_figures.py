@@ -165,11 +165,6 @@ def _method(record: Any, name: str) -> dict[str, Any]:
     return next(row for row in record["timing"]["rows"] if row["method"] == name)
 
 
-def _surrogate(record: Any) -> list[float]:
-    torch, openvino = _method(record, "SDMNN+, torch"), _method(record, "SDMNN+, openvino")
-    return [torch["mae_mm"], torch["ms"], torch["libigl_ratio"], openvino["ms"], round(openvino["libigl_ratio"], -1)]
-
-
 def _shipped(record: Any) -> list[float]:
     return [record["accuracy"]["models"]["sdmnn-plus-ends"]["mae_mm"]]
 
@@ -292,11 +287,8 @@ FIGURES = (
     *(Figure(DISK, *phrase) for phrase in disk_figures.PHRASES),
     Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream", lambda r: _speeds(r)[:1]),
     Figure(GUIDE, "a small decoder at {:.1f} %", "stream", lambda r: _speeds(r)[1:]),
-    Figure(GUIDE, "{:.3f} mm off on average; on two", "surrogate-pointwise-cpu", _shipped),
+    Figure(GUIDE, "{:.3f} mm off on average; on one core", "surrogate-pointwise-cpu", _shipped),
     Figure(PAPERS, "OpenVINO (extra `onnx`), {:.3f} mm off", "surrogate-pointwise-cpu", _shipped),
-    Figure(GUIDE, "on two CPU cores {:.0f} ms with torch", "surrogate-cpu", lambda r: _surrogate(r)[1:2]),
-    Figure(GUIDE, "{:.0f} times as fast as libigl, and {:.0f} ms with", "surrogate-cpu", lambda r: _surrogate(r)[2:4]),
-    Figure(GUIDE, "(extra `onnx`), {:.0f} times", "surrogate-cpu", lambda r: _surrogate(r)[4:]),
     Figure(GUIDE, "{:.0f} % of the 90 % intervals hold the truth", "fit-coverage", _coverage),
     Figure(GUIDE, "{:.0f} to {:.0f} % did, in {} to {} shapes", "fit-mismatch", _worst_coverage),
     Figure(SPEED, "{0} real and nasty meshes", "accuracy-cpu", _accuracy),

@@ -112,6 +112,12 @@ SHAPE_FIGURES: tuple[tuple[str, str, str, Callable[[Any], Sequence[Any]]], ...] 
         lambda r: times_libigl(r)[1::2],
     ),
     (
+        "docs/guide.md",
+        "without AMX {:.0f} times, [record]",
+        "surrogate-error-time-no-amx",
+        lambda r: times_libigl(r)[:1],
+    ),
+    (
         SURROGATE,
         "near the surface {:.4f} mm by the network and {:.4f} by the mesh, everywhere {:.4f} and {:.4f}",
         "surrogate-error-time",
