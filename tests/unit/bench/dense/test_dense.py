@@ -26,7 +26,7 @@ pytestmark = pytest.mark.filterwarnings("default")
 def results(tmp_path):
     """Two parts in miniature, in one file."""
     out = tmp_path / "dense.json"
-    words = ["--device", "cpu", "--quick", "--budget-s", "20", "--out", str(out)]
+    words = ["--device", "cpu", "--quick", "--budget-s", "300", "--out", str(out)]
     assert dense.main([*words, "--parts", "table", "--meshes", "cube", "--resolutions", "8", "12"]) == 0
     assert dense.main([*words, "--parts", "resolution"]) == 0
     return out
@@ -60,7 +60,7 @@ def test_a_file_of_something_else_is_refused(tmp_path, capsys):
 
 def test_thick_slices(capsys, tmp_path):
     out = tmp_path / "dense.json"
-    assert dense.main(["--device", "cpu", "--quick", "--budget-s", "20", "--parts", "slices", "--out", str(out)]) == 0
+    assert dense.main(["--device", "cpu", "--quick", "--budget-s", "300", "--parts", "slices", "--out", str(out)]) == 0
     part = json.loads(out.read_text())["parts"]["slices"]
     meshes = ["torus-2000"] * 2 + ["torus-2000 with holes"] * 2
     assert [(row["mesh"], row["slices"]) for row in part["rows"]] == list(zip(meshes, [12, 6, 12, 6], strict=True))
