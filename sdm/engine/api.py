@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, Literal, Unpack, overload
 
@@ -15,6 +14,7 @@ from sdm.core.device import SMALL, choose_device, memory_guard
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
+from sdm.engine import maps
 from sdm.engine.acceleration import build
 from sdm.engine.arguments import (
     UNSIGNED,
@@ -27,6 +27,7 @@ from sdm.engine.arguments import (
     described,
     oriented,
 )
+from sdm.engine.capacity.ready_maps import ready_map
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, look_at_points, one_check
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
@@ -166,12 +167,15 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
     Until the first kernel is launched a GPU waits for the host, which for a small map takes as long as the kernels.
     None of a mesh elsewhere, with derivatives, and of a large map.
     """
-    vertices, nbytes = mesh.vertices, 4 * math.prod(grid.shape)
+    vertices, faces = mesh.vertices, mesh.faces
+    x, y, z = grid.shape
+    nbytes = 4 * x * y * z
     if nbytes > SMALL or has_forward_mode() or not graphs.supports(vertices):
         return None
     # "cuda" is the current one. To compare a name with a device takes the host longer than to ask for its number.
+    index = vertices.get_device()
     if device == "cuda":
-        if vertices.get_device() != current_device():
+        if index != current_device():
             return None
     elif device is not None and device != vertices.device:
         return None
@@ -181,7 +185,8 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
         return field if check is None else field.checked_by(check)
 
     try:
-        field, ambiguous = mesh_map(vertices, mesh.faces, grid, make)
+        found, tried = ready_map(vertices, faces, grid, index, make) if maps.USE_CLASSES else (None, None)
+        field, ambiguous = found or mesh_map(vertices, faces, grid, make, tried)
     except torch.OutOfMemoryError:
         with memory_guard(nbytes, vertices.device, partial(described, grid)):
             raise

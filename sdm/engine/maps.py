@@ -28,7 +28,8 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.engine.capacity.classes import class_of
-from sdm.engine.capacity.first_maps import class_map, has_room, looks_closed
+from sdm.engine.capacity.first_maps import class_map, has_room
+from sdm.engine.capacity.ready_maps import Tried, looks_closed
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
@@ -99,11 +100,11 @@ def is_recordable(vertices: Tensor, nbytes: int) -> bool:
 
 
 def mesh_map(
-    vertices: Tensor, faces: Tensor, grid: Grid, make: Callable[[Tensor], T]
+    vertices: Tensor, faces: Tensor, grid: Grid, make: Callable[[Tensor], T], tried: Tried | None = None
 ) -> tuple[T, Callable[[], int] | None]:
     """The map (nx,ny,nz) of a recordable mesh as `make` makes it, while the device is at work if it is a first map.
 
-    And a counter of its ambiguous voxels, None for a closed mesh.
+    And a counter of its ambiguous voxels, None for a closed mesh. `tried`: see `ready_map`.
     """
     vertices, count = vertices.detach() if vertices.requires_grad else vertices, vertices.shape[0]
     if is_known(faces, count):
@@ -114,7 +115,7 @@ def mesh_map(
     if USE_CLASSES and (fits or looks_closed(faces.shape[0], count)):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None:
-        replayed = class_map(*kind, vertices, faces, grid, make)
+        replayed = class_map(*kind, vertices, faces, grid, make, tried)
         if replayed is not None:
             return replayed
     guessed = guesses.guess(faces, count)

@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 import warp as wp
@@ -47,9 +47,11 @@ class _Known(NamedTuple):
     pairing: Pairing | Callable[[], Pairing]
 
 
+# What is remembered once it is known: faces' identity, a reference to them, and their state before.
+Noted: TypeAlias = tuple[int, Callable[[], "Tensor | None"], "tuple[int, int] | None"]
 # Of faces seen before, by their identity while they live, so that of others it is known at once: a stream asks about
-# the same ones for every batch.
-_known: dict[int, _Known] = {}
+# the same ones for every batch. Who writes into it is here alone.
+known: dict[int, _Known] = {}
 
 
 def neighbours(faces: Tensor, count: int) -> Tensor:
@@ -94,20 +96,20 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
 
 def is_known(faces: Tensor, count: int) -> bool:
     """True if these faces were paired before, so that nothing has to wait for their pairing."""
-    return id(faces) in _known and _known_pairing(faces, count) is not None
+    return id(faces) in known and _known_pairing(faces, count) is not None
 
 
 def _known_pairing(faces: Tensor, count: int) -> Pairing | None:
-    known = _known.get(id(faces))
-    if known is None or known.faces() is not faces:
+    found = known.get(id(faces))
+    if found is None or found.faces() is not faces:
         return None
     # As `state_of`.
-    if faces.is_inference() or known.state != (faces._version, count):
+    if faces.is_inference() or found.state != (faces._version, count):
         return None
-    pairing = known.pairing
+    pairing = found.pairing
     if not isinstance(pairing, Pairing):
         pairing = pairing()
-        _known[id(faces)] = known._replace(pairing=pairing)
+        known[id(faces)] = found._replace(pairing=pairing)
     return pairing
 
 
@@ -140,21 +142,28 @@ def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
     _remember(faces, state_of(faces, count), pairing)
 
 
-def remember_later(faces: Tensor, count: int, make: Callable[[], Pairing]) -> None:
+def noted(faces: Tensor, count: int) -> Noted:
+    """Faces of so many vertices as they are now, of which `remember_noted` will remember something."""
+    number = id(faces)
+    return number, weakref.ref(faces, partial(_forget, number)), state_of(faces, count)
+
+
+def remember_noted(note: Noted, make: Callable[[], Pairing]) -> None:
     """`remember` what is made when somebody first asks: views of tensors take the host as long as launches."""
-    _remember(faces, state_of(faces, count), make)
+    number, faces, state = note
+    known[number] = _Known(faces, state, make)
 
 
 def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing | Callable[[], Pairing]) -> None:
     number = id(faces)
-    _known[number] = _Known(weakref.ref(faces, partial(_forget, number)), state, pairing)
+    known[number] = _Known(weakref.ref(faces, partial(_forget, number)), state, pairing)
 
 
 def _forget(number: int, gone: Any) -> None:
     """Faces are gone; another object may have their number by now."""
-    known = _known.get(number)
-    if known is not None and known.faces is gone:
-        del _known[number]
+    found = known.get(number)
+    if found is not None and found.faces is gone:
+        del known[number]
 
 
 def queue_pairing(

@@ -34,8 +34,8 @@ class Guess(NamedTuple):
 
 CLOSED = Guess()
 
-# Of the last open mesh, by numbers of faces and vertices; None if it was not one to guess by.
-_last_open: OrderedDict[tuple[int, int], Guess | None] = OrderedDict()
+# Of the last open mesh, by numbers of faces and vertices; None if it was not one to guess by. Written here alone.
+last_open: OrderedDict[tuple[int, int], Guess | None] = OrderedDict()
 
 
 def guess(faces: Tensor, count: int) -> Guess:
@@ -57,7 +57,7 @@ def last_numbers(faces: Tensor, count: int) -> Guess | None:
 
     None if the device does not join the edges of such meshes.
     """
-    return _last_open.get((faces.shape[0], count), CLOSED)
+    return last_open.get((faces.shape[0], count), CLOSED)
 
 
 def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> None:
@@ -67,7 +67,7 @@ def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> 
     """
     unmatched = pairing_of(faces, count).unmatched.shape[0]
     if unmatched == 0:
-        _last_open.pop((faces.shape[0], count), None)
+        last_open.pop((faces.shape[0], count), None)
         return
     remember_numbers(faces, count, Guess(unmatched, edges.shape[0]) if simple or unmatched <= MOST_REMEMBERED else None)
 
@@ -75,10 +75,10 @@ def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> 
 def remember_numbers(faces: Tensor, count: int, numbers: Guess | None) -> None:
     """Remember the numbers of an open mesh, for the next guess; None if nobody should guess by them."""
     key = faces.shape[0], count
-    _last_open.pop(key, None)
-    _last_open[key] = numbers
-    while len(_last_open) > MOST_KEPT:
-        _last_open.popitem(last=False)
+    last_open.pop(key, None)
+    last_open[key] = numbers
+    while len(last_open) > MOST_KEPT:
+        last_open.popitem(last=False)
 
 
 def is_right(guessed: Guess, faces: Tensor, count: int) -> bool:

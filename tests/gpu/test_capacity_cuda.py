@@ -25,7 +25,7 @@ pytestmark = pytest.mark.gpu
 @pytest.fixture(autouse=True)
 def afresh(monkeypatch):
     monkeypatch.setattr(maps, "USE_CLASSES", True)
-    guesses._last_open.clear()
+    guesses.last_open.clear()
     graphs.clear()
     yield
     graphs.clear()

@@ -23,6 +23,7 @@ from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.rank_sort import BUCKETS
 from sdm.kernels.bvh.tree import coarser
+from sdm.kernels.dense.counters import stop_if_wrong
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import OwnStages, Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
@@ -88,7 +89,7 @@ class Told(NamedTuple):
     @property
     def last(self) -> int:
         """Place of that number."""
-        return 4 * self.faces + _told_behind(self.room) - 1
+        return 4 * self.faces + told_behind(self.room) - 1
 
 
 class ClassMap(NamedTuple):
@@ -106,6 +107,9 @@ def class_key(kind: CapacityClass, room: int = 0) -> Key:
 # A mesh as recordings read it by address: vertices (V,3) float32 and faces (F,3) int32, contiguous; the grid of its
 # map; V, F and the device. A plain tuple, as each function on the way to a launch takes some microseconds.
 Given: TypeAlias = tuple[Tensor, Tensor, Grid, int, int, torch.device]
+# Memory for a map (nx,ny,nz), and for what is told of a mesh unless that is made for it, and where both are: tensors
+# that were made for a call before are not looked at until this one's kernels are launched.
+New: TypeAlias = tuple[Tensor, Tensor | None, int, int]
 
 
 def class_call(
@@ -122,57 +126,61 @@ def class_call(
     boundary edges they are those of `boundary_loops.join_edges`, and behind them the numbers of both. `instead`: of a
     `TableCall`. `make` makes the result of values and what is told, while the device is at work.
     """
-    vertices, faces, grid, count, total, device = given
-    work, behind = _work_of(kind, device, room)
+    vertices, faces, _, _, total, device = given
+    behind = told_behind(room)
 
-    def fill(table: Any, new: tuple[Tensor, Tensor | None]) -> tuple[Tensor, Tensor]:
-        values, told = new
-        if told is None:
-            told = faces.new_empty(4 * total + behind)
-        at = told.data_ptr()
-        # The last number is that of the ambiguous voxels, which a closed mesh has not.
-        last = at + 4 * (4 * total + behind - 1)
-        write_table(
-            table,
-            kind,
-            decisions,
-            total,
-            count,
-            grid,
-            (vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), last, at),
-        )
-        return values, told
+    def fill(table: Any, new: New) -> tuple[Tensor, Tensor]:
+        return fill_table(table, new, kind, decisions, given, behind)
 
     def launched(filled: tuple[Tensor, Tensor]) -> Any:
         values, told = filled
         return make(values, Told(told, total, room))
 
-    return TableCall(work, fill, (vertices, faces), instead, launched)
+    return TableCall(_work_of(kind, device, room), fill, (vertices, faces), instead, launched)
 
 
-def _told_behind(room: int) -> int:
+def fill_table(
+    table: Any, new: New, kind: CapacityClass, decisions: Decisions, given: Given, behind: int
+) -> tuple[Tensor, Tensor]:
+    """Fill the table of a recording of a class for a mesh, and give the map and what will be told.
+
+    `behind`: see `told_behind`.
+    """
+    values, told, values_at, at = new
+    vertices, faces, grid, count, total, _ = given
+    numbers = 4 * total + behind
+    if told is None:
+        told = faces.new_empty(numbers)
+        at = told.data_ptr()
+    # The last number is that of the ambiguous voxels, which a closed mesh has not.
+    addresses = vertices.data_ptr(), faces.data_ptr(), values_at, at + 4 * (numbers - 1), at
+    write_table(table, kind, decisions, total, count, grid, addresses)
+    return values, told
+
+
+def told_behind(room: int) -> int:
     """Numbers that are told behind those of faces."""
     return 3 * room + OpenBoundary.length(room) + 1 if room else 0
 
 
 @lru_cache(maxsize=256)
-def _work_of(kind: CapacityClass, device: torch.device, room: int) -> tuple[TableWork, int]:
-    """Work of the calls of a class, about closed meshes or open ones with room for so many edges.
-
-    And how many numbers are told behind those of faces.
-    """
+def _work_of(kind: CapacityClass, device: torch.device, room: int) -> TableWork:
+    """Work of the calls of a class, about closed meshes or open ones with room for so many edges."""
     work = partial(_queue_open_map, kind, room, device) if room else partial(_queue_closed_map, kind, device)
-    key, nbytes, behind = class_key(kind, room), 4 * math.prod(kind.shape), _told_behind(room)
+    key, nbytes, behind = class_key(kind, room), 4 * math.prod(kind.shape), told_behind(room)
     # What is told is remembered: of few faces it does no harm if there is room for more.
     told = 4 * kind.most + behind if kind.most <= MOST_SPARE_FACES else 0
     spare = min(MOST_SPARE, SPARE // (nbytes + 4 * told)) if told else 0
     new = partial(_new_results, kind.shape, told, device)
-    return TableWork(key, work, device, TABLE, key[0], new, spare, int(nbytes > LARGE)), behind
+    return TableWork(key, work, device, TABLE, key[0], new, spare, int(nbytes > LARGE))
 
 
-def _new_results(shape: tuple[int, int, int], told: int, device: torch.device) -> tuple[Tensor, Tensor | None]:
+def _new_results(shape: tuple[int, int, int], told: int, device: torch.device) -> New:
     values = torch.empty(shape, dtype=torch.float32, device=device)
-    return values, torch.empty(told, dtype=torch.int32, device=device) if told else None
+    if not told:
+        return values, None, values.data_ptr(), 0
+    numbers = torch.empty(told, dtype=torch.int32, device=device)
+    return values, numbers, values.data_ptr(), numbers.data_ptr()
 
 
 class _Mesh(NamedTuple):
@@ -219,7 +227,7 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
     mesh, ambiguous, pairing = _take_in(kind, device, table, 2)
     with beside(device) as join:
         found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
-    _queue_map(kind, mesh, neighbours, join, ambiguous, None)
+    _queue_map(kind, mesh, found, neighbours, join, ambiguous, None)
     with beside(device, TELLING, since=join) as told:
         verify(found, 0, partial(_tell, mesh, neighbours, found[:0], found[:0], found))
     told()
@@ -240,7 +248,8 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
     def count_ambiguous() -> None:
         tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
 
-    joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining, count_ambiguous)
+    ambiguous = boundary.ambiguous
+    joined = _queue_map(kind, mesh, found, neighbours, join, ambiguous, boundary, begin_joining, count_ambiguous)
     with beside(device, TELLING, since=joined) as told:
         verify(
             boundary.numbers,
@@ -266,6 +275,7 @@ def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor, 
 def _queue_map(
     kind: CapacityClass,
     mesh: _Mesh,
+    found: Tensor,
     neighbours: Tensor,
     join: Join,
     ambiguous: Tensor,
@@ -273,7 +283,7 @@ def _queue_map(
     begin_joining: Callable[[], tuple[Join, Join]] = lambda: (nothing, nothing),
     measured: Callable[[], None] = lambda: None,
 ) -> Join:
-    """The map of a mesh, to the address in the table: its neighbours are there after `join`.
+    """The map of a mesh, to the address in the table: its neighbours are there after `join`, and what was `found`.
 
     Of what `begin_joining` gives, the first waits for its boundary edges, the second, which is given, for all of its
     boundary. What everything waits for is queued first. `measured` queues what comes once voxels are measured, beside
@@ -308,6 +318,10 @@ def _queue_map(
             if not kind.turned:
                 as_warp(values, wp.float32).zero_()
         begun()
+        # If the guess that this recording serves the mesh was wrong, what waits for this one waits for little more.
+        with kernels_beside(values, TELLING, since=join) as stopped:
+            room = 0 if boundary is None else boundary.room
+            stop_if_wrong(as_warp(found, wp.int32), room, work.counters)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
@@ -334,6 +348,7 @@ def _queue_map(
             if not few:
                 wind()
             unjoined[0]()
+            stopped()
 
         def before_blocks() -> None:
             if few:

@@ -149,7 +149,7 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     x, y, z = grid.spacing
     uneven = turned or (not x == y == z and uneven_room(grid.spacing, turned) > 1)
     # What is asked first is little: it is asked before anything is launched.
-    most = _MOSTS[bisect_left(_MOSTS, faces)]
+    most = MOSTS[bisect_left(MOSTS, faces)]
     room = int(SHARED * most)
     if vertices > room:
         room = int(LOOSE * most)
@@ -177,6 +177,16 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     return kind, decisions
 
 
+def is_of_all(kind: CapacityClass, decisions: Decisions) -> bool:
+    """True if a class is that of all meshes with as many faces that share vertices, on grids of cubic voxels that are
+    not turned, and what is decided about one by the usual options is decided about all.
+    """
+    return any(
+        found == (kind, decisions) and room == int(SHARED * most) and not (turned or uneven)
+        for (most, room, _, turned, uneven, _), found in _usual.items()
+    )
+
+
 def _mosts() -> list[int]:
     """Most faces of each class, from the smallest on."""
     found = [bounds_of(1)[1]]
@@ -185,7 +195,7 @@ def _mosts() -> list[int]:
     return found
 
 
-_MOSTS = _mosts()
+MOSTS = _mosts()
 # Classes by the usual options, with decisions that are those about all their meshes.
 _usual: dict[tuple[Any, ...], tuple[CapacityClass, Decisions]] = {}
 MOST_KEPT = 256

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.classes import CapacityClass
-from sdm.kernels.bvh.tree import PART_SIZE, depth_for
+from sdm.kernels.bvh.tree import PART_SIZE, TRIANGLES_PER_LEAF
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.geometry.voxel_grid import AXES, CELL_SHARES, REGION_SHARES, SLAB_ROW, Slab
 from sdm.kernels.launch import set_array
@@ -60,7 +60,8 @@ def write_table(
         # a grid without voxels.
         _SAME.pack_into(table, 8 * _SAME_AT, *axes, *grid.shape, *(0, 0, 0), *shares, *kind.row_of_none)
     _PLACE.pack_into(table, 0, *grid.origin, *grid.spacing)
-    depth = depth_for(faces)
+    # `depth_for`, without the function.
+    depth = (-(-faces // TRIANGLES_PER_LEAF) - 1).bit_length()
     _REST.pack_into(
         table,
         _REST_AT,

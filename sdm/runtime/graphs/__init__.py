@@ -18,16 +18,18 @@ For the library: `run` is the one entrance, and `speculate` the one for calls wh
 """
 
 from sdm.runtime.graphs.captured_call import Verify, Work, unverified
-from sdm.runtime.graphs.graph_cache import CALLS
+from sdm.runtime.graphs.graph_cache import CALLS, Kept
 from sdm.runtime.graphs.replay import (
     Call,
     TableCall,
     TableWork,
     attempt,
     attempt_by_table,
+    attempt_kept,
     clear,
     enable,
     is_recorded,
+    kept,
     last_launch,
     note,
     paused,
@@ -39,15 +41,18 @@ from sdm.runtime.graphs.replay import (
 __all__ = [
     "CALLS",
     "Call",
+    "Kept",
     "TableCall",
     "TableWork",
     "Verify",
     "Work",
     "attempt",
     "attempt_by_table",
+    "attempt_kept",
     "clear",
     "enable",
     "is_recorded",
+    "kept",
     "last_launch",
     "note",
     "paused",

@@ -240,17 +240,18 @@ class TableRecording(Recording):
     def _queue_own(self, work: Work) -> None:
         work(self._verify, self._table)
 
-    def launch(self, fill: Callable[[Any, Any], Any], reads: Tensors) -> Any:
+    def launch(self, fill: Callable[..., Any], reads: Tensors, about: tuple[Any, ...] = ()) -> Any:
         """Queue the work on the current stream: what `fill` gives, with new tensors, which the work will fill.
 
         Args:
             fill: Writes the table.
             reads: The tensors whose addresses it writes and which are read.
+            about: What else `fill` is given.
         """
         index = self._index
         if index != current_device():
             with torch.cuda.device(self._device):
-                return self.launch(fill, reads)
+                return self.launch(fill, reads, about)
         if self._guesses:
             if self._said[0] == PENDING:
                 # A launch that nobody waited for: it still may have to read the table.
@@ -259,7 +260,7 @@ class TableRecording(Recording):
         pool, spare = self._pool, self._spare
         # Tensors are another stream's until it has done what was queued when they were made.
         by_default = raw_stream(index) == 0
-        results = fill(self._room, spare.pop() if spare and by_default else self._new())
+        results = fill(self._room, spare.pop() if spare and by_default else self._new(), *about)
         # What need not come before the launch comes after it.
         stream, last = None, pool.last
         if not (by_default and last is not None and last.by_default):

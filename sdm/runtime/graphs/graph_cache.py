@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any
 
 import torch
@@ -34,13 +35,20 @@ _REFUSED = -(1 << 62)
 _NEEDED = {False: CALLS, True: CALLS_OF_MANY}
 
 
-class _Kept:
-    """A recording that is kept, and how often it was used: what a call has to look at lies together."""
+class Kept:
+    """A recording that is kept, until it goes: who keeps this need not look for it, but has to tell that it is used.
 
-    __slots__ = ("for_many", "recording", "used")
+    Args:
+        recording: None once it is gone.
+        for_many: It serves calls of many kinds.
+        is_used: To be called for each use that did not begin with `GraphCache.find`.
+    """
 
-    def __init__(self, recording: Recording, for_many: bool) -> None:
-        self.recording, self.for_many, self.used = recording, for_many, 0
+    __slots__ = ("for_many", "is_used", "recording", "used")
+
+    def __init__(self, recording: Recording, for_many: bool, is_used: Callable[[], object]) -> None:
+        self.recording: Recording | None = recording
+        self.for_many, self.is_used, self.used = for_many, is_used, 0
 
 
 class GraphCache:
@@ -61,7 +69,7 @@ class GraphCache:
         self._most, self._recordings = most, recordings
         self._capture = capture
         self._pool = MemoryPool()
-        self._captured: OrderedDict[Hashable, _Kept] = OrderedDict()
+        self._captured: OrderedDict[Hashable, Kept] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
         self._needed = dict(_NEEDED)
 
@@ -80,6 +88,10 @@ class GraphCache:
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._captured
+
+    def kept(self, key: Hashable) -> Kept | None:
+        """What is kept of the recording of the calls with a key, if there is one."""
+        return self._captured.get(key)
 
     def find(self, key: Hashable) -> Recording | None:
         """The recording of the calls with a key, if there is one."""
@@ -129,7 +141,7 @@ class GraphCache:
             warnings.warn(f"a call could not be recorded, and will not be replayed: {error}", stacklevel=2)
             return
         if self._pool.nbytes <= self._most:
-            self._captured[key] = _Kept(made, for_many)
+            self._captured[key] = Kept(made, for_many, partial(self.find, key))
             return
         if not self._captured:
             self._calls[key] = _REFUSED
@@ -144,7 +156,9 @@ class GraphCache:
 
     def drop(self, key: Hashable) -> None:
         """Forget a recording."""
-        self._captured.pop(key, None)
+        gone = self._captured.pop(key, None)
+        if gone is not None:
+            gone.recording = None
         if not self._captured:
             self.clear()
 
@@ -156,5 +170,7 @@ class GraphCache:
 
     def clear(self) -> None:
         """Give up all recordings; those under way go on."""
+        for gone in self._captured.values():
+            gone.recording = None
         self._captured.clear()
         self._pool = MemoryPool(self._pool)

@@ -24,7 +24,7 @@ from sdm.runtime.graphs.captured_call import (
     Work,
     unverified,
 )
-from sdm.runtime.graphs.graph_cache import GraphCache
+from sdm.runtime.graphs.graph_cache import GraphCache, Kept
 from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import current_device, is_capturing, raw_stream
 
@@ -228,6 +228,41 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
             filled = captured.launch(call.fill, call.reads)
         results: R = filled if call.launched is None else call.launched(filled)
         right, said = captured.guessed_right()
+    return (results if right else None), said
+
+
+def kept(device: torch.device, key: Hashable) -> Kept | None:
+    """What is kept of the recording of calls by table with a key, for `attempt_kept`; None if there is none."""
+    cache = _caches.get(device)
+    return None if cache is None else cache.kept(key)
+
+
+def attempt_kept(
+    of: Kept,
+    fill: Callable[..., Any],
+    about: tuple[Any, ...],
+    reads: Tensors,
+    launched: Callable[[Any], R],
+) -> tuple[R | None, list[int]]:
+    """`attempt_by_table` of a call about tensors on the current device, whose recording was found before.
+
+    Args:
+        of: That.
+        fill: As that of a `TableCall`, with `about` behind the table and the new tensors.
+        about: What it is given.
+        reads: As those of a `TableCall`.
+        launched: As that of a `TableCall`.
+    """
+    recording = of.recording
+    if not isinstance(recording, TableRecording):
+        return None, []
+    with recording.lock:
+        with _lock:
+            filled = recording.launch(fill, reads, about)
+            # While the device is at work.
+            of.is_used()
+        results = launched(filled)
+        right, said = recording.guessed_right()
     return (results if right else None), said
 
 

@@ -100,7 +100,7 @@ NEW_MESHES = {
 @pytest.mark.parametrize("name", NEW_MESHES)
 def test_a_first_map_by_the_steps_of_a_gpu(monkeypatch, name):
     monkeypatch.setattr(guesses, "JOINING_DEVICES", ("cpu",))
-    monkeypatch.setattr(guesses, "_last_open", type(guesses._last_open)())
+    monkeypatch.setattr(guesses, "last_open", type(guesses.last_open)())
     vertices, faces = (torch.from_numpy(array) for array in NEW_MESHES[name]())
     mesh = sdm.TriangleMesh(vertices.clone(), faces.clone())
     grid = sdm.Grid.around(mesh, 24)

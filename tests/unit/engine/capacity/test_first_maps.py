@@ -30,7 +30,7 @@ CLOSED, OPEN = "class", "open class"
 def went(monkeypatch):
     """Attempts, what was noted and what was settled otherwise; `_recorded` says which recordings there are."""
     log: list[str] = []
-    monkeypatch.setattr(guesses, "_last_open", guesses._last_open.__class__())
+    monkeypatch.setattr(guesses, "last_open", guesses.last_open.__class__())
     monkeypatch.setattr(maps, "USE_CLASSES", True)
 
     def attempt(call):

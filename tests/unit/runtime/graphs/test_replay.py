@@ -264,7 +264,7 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
     index = sdm.MeshIndex(mesh, "cpu")
     expected = index.signed_distance_map(grid)
     noted, tried = [], []
-    monkeypatch.setattr(guesses, "_last_open", guesses._last_open.__class__())
+    monkeypatch.setattr(guesses, "last_open", guesses.last_open.__class__())
     monkeypatch.setattr(replay, "record", noted.append)
     monkeypatch.setattr(graphs, "attempt_by_table", lambda call: tried.append(call) or (None, []))
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: False)

@@ -1,0 +1,74 @@
+"""Topology of meshes whose first maps were made by the recordings of a class: remembered as these told it.
+
+All that can be done while the device is at work is: behind what the host waits for little is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Generic, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from sdm.engine.capacity.class_calls import Told
+from sdm.engine.capacity.open_boundary import OpenBoundary
+from sdm.runtime import graphs
+from sdm.runtime.host_copy import number_later
+from sdm.topology import guesses
+from sdm.topology.cap_triangles import remember_joined
+from sdm.topology.face_pairing import Noted, Pairing, closed_pairing, noted, remember_noted
+
+# What is made of a map.
+T = TypeVar("T")
+
+
+class Found(NamedTuple, Generic[T]):
+    """A map as it was made, and what will be remembered if it serves.
+
+    Args:
+        made: The map.
+        told: What its mesh's faces say.
+        faces: Of the mesh.
+        count: Of its vertices.
+        note: Of its faces, see `face_pairing.noted`.
+        ready: Event after the launch.
+    """
+
+    made: T
+    told: Told
+    faces: Tensor
+    count: int
+    note: Noted
+    ready: torch.cuda.Event | None
+
+
+def while_at_work(faces: Tensor, count: int, make: Callable[[Tensor], T], values: Tensor, told: Told) -> Found[T]:
+    """What can be made of a map (nx,ny,nz) before it is known whether the recording serves its mesh."""
+    return Found(make(values), told, faces, count, noted(faces, count), graphs.last_launch(faces.device))
+
+
+def finished(found: Found[T], said: list[int]) -> tuple[T, Callable[[], int] | None]:
+    """The map, and a counter of its ambiguous voxels if it is open; its faces are remembered.
+
+    `said`: what the recording told the host.
+    """
+    made, told, faces, count, note, ready = found
+    rows, edges = said[-2:] if told.room else (0, 0)
+    if rows == 0:
+        remember_noted(note, partial(_closed_pairing, told, ready))
+        return made, None
+    remember_noted(note, partial(_open_pairing, told, rows, edges, ready))
+    guesses.remember_numbers(faces, count, guesses.Guess(rows, edges))
+    return made, number_later(told.memory, told.last) if edges else None
+
+
+def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:
+    return closed_pairing(told.neighbours, ready)
+
+
+def _open_pairing(told: Told, rows: int, edges: int, ready: torch.cuda.Event | None) -> Pairing:
+    pairing = Pairing(told.unmatched[:rows], told.neighbours, ready=ready)
+    remember_joined(pairing, *OpenBoundary.joined(told.boundary, told.room, edges))
+    return pairing
