@@ -19,6 +19,8 @@ from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.launch import set_array, set_number
 from sdm.kernels.launches.arrays import array_at, size_of
 
+# Counters, and the number of what was missed.
+ZEROS = COUNTS + 1
 # Arrays begin at multiples of this many bytes.
 ALIGNMENT = 256
 
@@ -29,7 +31,7 @@ class Workspace:
 
     Args:
         grid: The regions of a pass, set by the host before each.
-        zeros: (COUNTS + 1) int32, the counters and what was missed: zeroed before the first pass.
+        zeros: (ZEROS) int32, the counters and what was missed: zeroed before the first pass.
         counters: (COUNTS) int32, zeroed before each pass; the pool and the schedule have them too.
         missed: (1) int32 voxels that found no room in any pass.
         cache: Boxes and witnesses: stages 1, 4 and 5 write, all read.
@@ -53,21 +55,27 @@ class Workspace:
     schedule: Any
     blocks: Any
 
-    def begin_pass(self, plan: Plan, first: int) -> None:
-        """Set the pass that begins with region `first`, and zero the counters."""
+    def begin_pass(self, plan: Plan, first: int, is_zero: bool = False) -> None:
+        """Set the pass that begins with region `first`, and zero the counters if they are not."""
         # Each pass takes regions from everywhere, so that no pass gets all the long lists.
         count = -(-(plan.total - first) // plan.passes)
         grid, pool = self.grid, self.pool
         set_number(grid, "first", first)
         set_number(grid, "count", count)
         set_number(pool, "reserved", count * (plan.region_shares + 8 * plan.cell_shares))
-        (self.counters if first else self.zeros).zero_()
+        if not is_zero:
+            (self.counters if first else self.zeros).zero_()
 
 
-def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
-    """The workspace of a query, in one piece of memory; `empty(length, dtype)` allocates."""
+def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array], zeros: wp.array | None = None) -> Workspace:
+    """The workspace of a query, in one piece of memory; `empty(length, dtype)` allocates.
+
+    `zeros`: (ZEROS) int32 for its counters, if they lie elsewhere.
+    """
     # Counted by eights: bytes may be more than an array counts.
     block = empty(size_for(plan) // 8, wp.int64)
+    if zeros is not None:
+        return _workspace(plan, _Places(block.ptr, block.device.alias), zeros)
     return _workspace_at(plan, block.ptr, block.device.alias)
 
 
@@ -98,7 +106,7 @@ class _Places:
         return array
 
 
-def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
+def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array], zeros: wp.array | None = None) -> Workspace:
     most, room = plan.most, plan.blocks
     grid = RegionGrid()
     grid.regions = wp.vec3i(*plan.regions)
@@ -122,11 +130,11 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     pool = ChunkPool()
     pool.chunks = plan.chunks
     set_array(pool, "entries", empty(plan.chunks * CHUNK, wp.int32))
-    zeros: Any = empty(COUNTS + 1, wp.int32)
-    counters, missed = zeros[:COUNTS], zeros[COUNTS:]
+    counted: Any = empty(ZEROS, wp.int32) if zeros is None else zeros
+    counters, missed = counted[:COUNTS], counted[COUNTS:]
     set_array(pool, "counters", counters)
     set_array(schedule, "counters", counters)
-    return Workspace(grid, zeros, counters, missed, cache, pool, regions, cells, share_witnesses, schedule, blocks)
+    return Workspace(grid, counted, counters, missed, cache, pool, regions, cells, share_witnesses, schedule, blocks)
 
 
 def _lists(count: int, shares: int, empty: Callable[[int, Any], wp.array]) -> Any:

@@ -23,6 +23,8 @@ wp.set_module_options({"enable_backward": False})
 # for each edge, at least, so that free ones are near: edges of closed meshes share a place with another.
 MOST_ALIKE, ROOM = 4096, 1.6
 _NONE = 0x7FFFFFFF
+# A number of work items beyond all that there are, by far less than what counting on from there could overflow.
+BEYOND = 1 << 30
 
 
 @wp.func_native(
@@ -100,6 +102,8 @@ def _pair(
     unmatched: wp.array2d(dtype=wp.int32),
     flags: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
+    most: int,
+    stopped: wp.array(dtype=wp.int32),
 ):
     face = begin + wp.tid()
     owned = int(0)
@@ -132,6 +136,10 @@ def _pair(
                     start = faces[face, k]
                     end = faces[face, (k + 1) % 3]
                     row = fetch_add(flags, UNMATCHED, 1)
+                    if row >= most:
+                        # All write the same.
+                        for counter in range(stopped.shape[0]):
+                            stopped[counter] = BEYOND
                     unmatched[row, 0] = wp.min(start, end)
                     unmatched[row, 1] = wp.max(start, end)
                     unmatched[row, 2] = balance
@@ -141,6 +149,15 @@ def _pair(
     neighbours[face, 3] = owned
 
 
+def _places_for(faces: int) -> int:
+    return 1 << (int(ROOM * 3 * faces) - 1).bit_length()
+
+
+def table_length(faces: int) -> int:
+    """Whole numbers of 32 bits of the table for so many faces."""
+    return 3 * _places_for(faces)
+
+
 def pair_by_table(
     faces: wp.array,
     first: wp.array,
@@ -148,21 +165,37 @@ def pair_by_table(
     unmatched: wp.array,
     neighbours: wp.array,
     empty: Callable[[int, Any], wp.array],
+    table: wp.array | None = None,
+    most: int = 0,
+    stopped: wp.array | None = None,
 ) -> None:
     """`edge_pairing.pair_edges` of faces without a vertex out of range.
 
     Such a vertex is told if more than MOST_ALIKE edges have the same ends: then all else has no meaning.
+
+    Args:
+        faces: And those after it as for `pair_edges`.
+        first: In the same way.
+        flags: In the same way.
+        unmatched: In the same way.
+        neighbours: In the same way.
+        empty: Allocates workspace: `empty(length, dtype)`.
+        table: (table_length(F),) int32 zeros at a multiple of 8 bytes, if there are any.
+        most: Unmatched edges beyond which a map of the mesh will be thrown away.
+        stopped: (n) int32, the counters of work of such a map, zero: if they are more, all its items count as done.
     """
     device: Any = faces.device
     total = faces.size
-    room = 1 << (int(ROOM * total) - 1).bit_length()
+    room = _places_for(faces.shape[0])
     # Keys, and where the lists begin, in one piece of memory: zero for none.
-    table: Any = empty(room + room // 2, wp.int64)
-    table.zero_()
+    if table is None:
+        table = empty(room + room // 2, wp.int64)
+        table.zero_()
     keys = array_at(table.ptr, (room,), wp.int64, device.alias)
     heads = array_at(table.ptr + 8 * room, (room,), wp.int32, device.alias)
     places, following = empty(total, wp.int32), empty(total, wp.int32)
     entered = [faces, bits_for(first.shape[0]), keys, heads, places, following, first]
     launch(_enter, total, entered, device, smallest=LIGHT_SHARE)
-    paired = [faces, heads, places, following, first, unmatched, flags, neighbours]
+    paired = [faces, heads, places, following, first, unmatched, flags, neighbours, most]
+    paired.append(array_at(0, (0,), wp.int32, device.alias) if stopped is None else stopped)
     launch(_pair, faces.shape[0], paired, device, smallest=LIGHT_SHARE)

@@ -167,7 +167,13 @@ def _forget(number: int, gone: Any) -> None:
 
 
 def queue_pairing(
-    faces: Tensor, count: int, within: Tensor | None = None, *, by_table: bool = False, zeros: Tensor | None = None
+    faces: Tensor,
+    count: int,
+    within: Tensor | None = None,
+    *,
+    by_table: bool = False,
+    zeros: Tensor | None = None,
+    **of_table: Any,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
@@ -176,6 +182,7 @@ def queue_pairing(
         `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is given,
         the faces are written without any: each is brought into it. `by_table`: by `edge_table`, of faces without any.
         `zeros` (FLAGS + count,) int32: memory for the flags, which come first, and the search, if it is there.
+        `of_table`: more of `pair_by_table`, as tensors.
     """
     total = faces.numel()
     if zeros is None:
@@ -194,7 +201,8 @@ def queue_pairing(
             as_warp(each, wp.int32) for each in (faces, first, flags, unmatched, around)
         )
         if by_table:
-            pair_by_table(given, firsts, found, rows, beside, empty)
+            more = {name: as_warp(it, wp.int32) if isinstance(it, Tensor) else it for name, it in of_table.items()}
+            pair_by_table(given, firsts, found, rows, beside, empty, **more)
         else:
             brought = None if within is None else as_warp(within, wp.int32)
             pair_edges(given, firsts, found, rows, beside, empty, brought)

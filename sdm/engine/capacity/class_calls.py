@@ -23,15 +23,17 @@ from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.rank_sort import BUCKETS
 from sdm.kernels.bvh.tree import coarser
-from sdm.kernels.dense.counters import stop_if_wrong
+from sdm.kernels.dense.counters import NEXT_LIST, NEXT_REGION
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import OwnStages, Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage6_measure import measure_blocks
 from sdm.kernels.dense.voxel_search import mend_slab
+from sdm.kernels.dense.workspace import ZEROS as COUNTERS
 from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.launch import new_zeros, set_array
 from sdm.kernels.topology.edge_pairing import FLAGS, OUT_OF_RANGE
+from sdm.kernels.topology.edge_table import table_length
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import TableCall, TableWork, Verify
@@ -44,6 +46,8 @@ Instead: TypeAlias = Callable[[], "TableCall[ClassMap] | None"]
 Key: TypeAlias = tuple[str, CapacityClass, int]
 # Zeros that kernels of a map need: those of a sort, and a few.
 ZEROS = BUCKETS + 64
+# Numbers of a table of edges that are zeroed with all else.
+MOST_PLACES = 1 << 19
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
 # Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
@@ -193,17 +197,28 @@ class _Mesh(NamedTuple):
     addresses: Tensor
     counts: Tensor
     parts: Tensor
+    own: Tensor  # and all behind it: int32 zeros, these as many as are asked for
+    edges: Tensor  # for the table of edges; none if they are many
+    pairing: Tensor  # where an index out of range is told
+    counters: Tensor  # of the map's pass
     zeros: Tensor
 
+    def queue_pairing(self, kind: CapacityClass, room: int) -> tuple[Tensor, Tensor, Tensor]:
+        """`queue_pairing` of its faces; the map makes little more if they leave more edges than `room` unmatched."""
+        table = self.edges if self.edges.shape[0] else None
+        stopped = self.counters[NEXT_REGION:NEXT_LIST]
+        options: Any = {"by_table": True, "zeros": self.pairing, "table": table, "most": room, "stopped": stopped}
+        return queue_pairing(self.faces, kind.vertices, **options)
 
-def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, own: int) -> tuple[_Mesh, Tensor, Tensor]:
-    """Queue the copies of the table and of the mesh that it tells of.
 
-    Also gives (own,) int32 zeros, and those of its pairing, where an index out of range is told.
-    """
-    lengths = [own, FLAGS + kind.vertices, ZEROS]
+def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, own: int) -> _Mesh:
+    """Queue the copies of the table and of the mesh that it tells of, with (own,) int32 zeros."""
+    # Places of the table of edges come first, as they are of 8 bytes; of many faces they are zeroed beside other work.
+    places = table_length(kind.faces)
+    places = places if places <= MOST_PLACES else 0
+    lengths = [places, own, FLAGS + kind.vertices, COUNTERS, ZEROS]
     zeros = torch.empty(sum(lengths), dtype=torch.int32, device=device)
-    mine, pairing, rest = zeros.split(lengths)
+    edges, mine, pairing, counters, rest = zeros.split(lengths)
     table = torch.empty(host.shape, dtype=host.dtype, device=device)
     rows, addresses, counts, parts = split_table(table)
     vertices = torch.empty((kind.vertices, 3), dtype=torch.float32, device=device)
@@ -220,24 +235,24 @@ def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, own: int) 
             as_warp(pairing[OUT_OF_RANGE:], wp.int32),
             box,
         )
-    return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts, rest), mine, pairing
+    return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts, mine, edges, pairing, counters, rest)
 
 
 def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
-    mesh, ambiguous, pairing = _take_in(kind, device, table, 2)
+    mesh = _take_in(kind, device, table, 2)
     with beside(device) as join:
-        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
-    _queue_map(kind, mesh, found, neighbours, join, ambiguous, None)
+        found, _, neighbours = mesh.queue_pairing(kind, 0)
+    _queue_map(kind, mesh, neighbours, join, mesh.own, None)
     with beside(device, TELLING, since=join) as told:
         verify(found, 0, partial(_tell, mesh, neighbours, found[:0], found[:0], found))
     told()
 
 
 def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
-    mesh, memory, pairing = _take_in(kind, device, table, OpenBoundary.length(room))
-    boundary = OpenBoundary.of_memory(memory, room)
+    mesh = _take_in(kind, device, table, OpenBoundary.length(room))
+    boundary = OpenBoundary.of_memory(mesh.own, room)
     with beside(device) as join:
-        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True, zeros=pairing)
+        found, unmatched, neighbours = mesh.queue_pairing(kind, room)
 
     def begin_joining() -> tuple[Join, Join]:
         written: list[Join] = []
@@ -248,8 +263,7 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
     def count_ambiguous() -> None:
         tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
 
-    ambiguous = boundary.ambiguous
-    joined = _queue_map(kind, mesh, found, neighbours, join, ambiguous, boundary, begin_joining, count_ambiguous)
+    joined = _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, begin_joining, count_ambiguous)
     with beside(device, TELLING, since=joined) as told:
         verify(
             boundary.numbers,
@@ -275,7 +289,6 @@ def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor, 
 def _queue_map(
     kind: CapacityClass,
     mesh: _Mesh,
-    found: Tensor,
     neighbours: Tensor,
     join: Join,
     ambiguous: Tensor,
@@ -283,7 +296,7 @@ def _queue_map(
     begin_joining: Callable[[], tuple[Join, Join]] = lambda: (nothing, nothing),
     measured: Callable[[], None] = lambda: None,
 ) -> Join:
-    """The map of a mesh, to the address in the table: its neighbours are there after `join`, and what was `found`.
+    """The map of a mesh, to the address in the table: its neighbours are there after `join`.
 
     Of what `begin_joining` gives, the first waits for its boundary edges, the second, which is given, for all of its
     boundary. What everything waits for is queued first. `measured` queues what comes once voxels are measured, beside
@@ -304,7 +317,7 @@ def _queue_map(
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device, mesh.zeros)
         box: Any = as_warp(mesh.bounds, wp.float32)
-        work, begin = make_workspace(kind.plan, empty), fork(device)
+        work, begin = make_workspace(kind.plan, empty, as_warp(mesh.counters, wp.int32)), fork(device)
         unjoined: list[Join] = []
         # Once triangles are in order: winding numbers do not wait for boxes.
         ordered: list[Join] = []
@@ -314,14 +327,10 @@ def _queue_map(
         boxes = fork(device)
         # Nothing before it waits for these, and they for nothing.
         with kernels_beside(values, TELLING, since=begin) as begun:
-            work.begin_pass(kind.plan, 0)
+            work.begin_pass(kind.plan, 0, is_zero=True)
             if not kind.turned:
                 as_warp(values, wp.float32).zero_()
         begun()
-        # If the guess that this recording serves the mesh was wrong, what waits for this one waits for little more.
-        with kernels_beside(values, TELLING, since=join) as stopped:
-            room = 0 if boundary is None else boundary.room
-            stop_if_wrong(as_warp(found, wp.int32), room, work.counters)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
@@ -348,7 +357,6 @@ def _queue_map(
             if not few:
                 wind()
             unjoined[0]()
-            stopped()
 
         def before_blocks() -> None:
             if few:

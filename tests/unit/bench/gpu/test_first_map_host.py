@@ -9,7 +9,7 @@ from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
 
 # Functions of the project before the launch: each takes a host whose caches are empty some two microseconds.
-MOST = 16
+MOST = 10
 
 
 def test_few_functions_before_the_launch():
