@@ -151,6 +151,12 @@ def _write_edges(
 
 
 @wp.kernel
+def _tell_room(begin: int, room: int, flags: wp.array(dtype=wp.int32)):
+    """What `_follow` tells where edges are in room."""
+    flags[WRONG_EDGES] = wp.max(flags[ALL_EDGES] - room, 0)
+
+
+@wp.kernel
 def _follow(
     begin: int,
     lanes: int,
@@ -350,7 +356,7 @@ def join_edges(
     found: wp.array,
     vertices: wp.array,
     edges: wp.array,
-    caps: wp.array,
+    caps: wp.array | None,
     flags: wp.array,
     empty: Callable[[int, Any], wp.array],
     in_room: bool = False,
@@ -363,7 +369,8 @@ def join_edges(
         found: (2) int32, the flags of `edge_pairing.pair_edges`.
         vertices: (meshes, V) vec3.
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
-        caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns, where no loops meet.
+        caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns, where no loops meet;
+            None: nobody needs any, of edges in room.
         flags: (NUMBERS) int32, zero; afterwards the first FLAGS are still zero if all guesses were right, else the rest
             has no meaning, but no index is out of range.
         empty: Allocates workspace: `empty(length, dtype)`.
@@ -380,6 +387,9 @@ def join_edges(
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
     if written is not None:
         written()
+    if caps is None:
+        launch(_tell_room, 1, [count, flags], device)
+        return
     launch(_follow, count * lanes, [lanes, edges, ahead, ordered, firsts, int(in_room), flags], device)
     block = (BLOCK if count <= FEW_LOOPED else LARGE_BLOCK) if device.is_cuda else 1
     launch(_number_loops, block, [block, flags, ordered, ahead, onward, around, left], device, block_dim=block)

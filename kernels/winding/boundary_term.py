@@ -104,6 +104,18 @@ def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.arr
     launch(_gather, vertices.shape[0] * edges.shape[0], [vertices, edges, tree, out], vertices.device)
 
 
+@wp.kernel
+def _write_parts(begin: int, counts: wp.array(dtype=wp.int32), place: int, room: int, parts: wp.array(dtype=wp.int32)):
+    write_parts(parts, counts[place], room)
+
+
+def write_parts_of_faces(counts: wp.array, place: int, room: int, parts: wp.array) -> None:
+    """Fill `parts` (2 * PART_SIZE) int32, zeros, of a tree of caps that are faces: so many as `counts` say at a place,
+    with others behind them up to a room.
+    """
+    launch(_write_parts, 1, [counts, place, room, parts], parts.device)
+
+
 @wp.func
 def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
     """length - ahead for a vector of that length, `ahead` along +x and the rest of squared length `aside2`."""

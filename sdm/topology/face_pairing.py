@@ -178,10 +178,10 @@ def queue_pairing(
     """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
     Returns:
-        The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
-        `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is given,
-        the faces are written without any: each is brought into it. `by_table`: by `edge_table`, of faces without any.
-        `zeros` (FLAGS + count,) int32: memory for the flags, which come first, and the search, if it is there.
+        The flags (FLAGS,), the unmatched edges (3 * F, 3) or more rows, of which the flags tell how many, and (F,4)
+        what `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is
+        given, the faces are written without any: each is brought into it. `by_table`: by `edge_table`, of faces without
+        any. `zeros` (FLAGS + count,) int32: memory for the flags, which come first, and the search, if it is there.
         `of_table`: more of `pair_by_table`, as tensors.
     """
     total = faces.numel()
@@ -193,19 +193,21 @@ def queue_pairing(
             # Without torch's threads, which take longer to meet.
             zeros.numpy().fill(0)
     flags, first = zeros.split([FLAGS, count])
-    unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
+    # Whoever has room for more than there can be tells of all rows that there is room for.
+    rows = max(total, of_table.get("most", 0))
+    unmatched = torch.empty(rows, 3, dtype=torch.int32, device=faces.device)
     around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):
         empty = workspace(faces.device)
-        given, firsts, found, rows, beside = (
+        given, firsts, found, edges, beside = (
             as_warp(each, wp.int32) for each in (faces, first, flags, unmatched, around)
         )
         if by_table:
             more = {name: as_warp(it, wp.int32) if isinstance(it, Tensor) else it for name, it in of_table.items()}
-            pair_by_table(given, firsts, found, rows, beside, empty, **more)
+            pair_by_table(given, firsts, found, edges, beside, empty, **more)
         else:
             brought = None if within is None else as_warp(within, wp.int32)
-            pair_edges(given, firsts, found, rows, beside, empty, brought)
+            pair_edges(given, firsts, found, edges, beside, empty, brought)
     return flags, unmatched, around
 
 

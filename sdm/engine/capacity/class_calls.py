@@ -328,7 +328,7 @@ def _queue_map(
         # Nothing before it waits for these, and they for nothing.
         with kernels_beside(values, TELLING, since=begin) as begun:
             work.begin_pass(kind.plan, 0, is_zero=True)
-            if not kind.turned:
+            if not kind.turned or (boundary is not None and boundary.by_faces):
                 as_warp(values, wp.float32).zero_()
         begun()
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
@@ -343,7 +343,8 @@ def _queue_map(
             if boundary is None:
                 return nothing
             joins[0]()
-            return boundary.queue_winding(winding, view.tree, vertices, box, empty, few, joins[1])
+            of_mesh = vertices, mesh.faces, mesh.counts
+            return boundary.queue_winding(winding, view.tree, *of_mesh, box, empty, few, joins[1])
 
         def wind() -> None:
             joins.extend(begin_joining())

@@ -12,11 +12,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.class_calls import Given, Told, class_call, class_key
-from sdm.engine.capacity.classes import MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
+from sdm.engine.capacity.classes import BY_FACES, MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
 from sdm.engine.capacity.ready_maps import Tried, looks_closed, note_ready
 from sdm.engine.capacity.remembered import finished, while_at_work
 from sdm.kernels.dense.plan import Decisions, memory_of
@@ -80,9 +81,9 @@ def class_map(
         if more is None:
             return None
         edges = max(edges, more) if tested else more
-    for room in kind.rooms(device.type):
+    for room in _rooms(kind, device, total, edges, tested):
         # A recording for many edges is made for meshes that have them.
-        if room <= tested or edges > room or (edges <= MOST_EDGES < room):
+        if room <= tested or edges > room or (edges <= MOST_EDGES < room < BY_FACES):
             continue
         found = attempt(room)
         if isinstance(found, tuple):
@@ -92,6 +93,15 @@ def class_map(
             return None
         edges = max(edges, more)
     return None
+
+
+def _rooms(kind: CapacityClass, device: torch.device, faces: int, edges: int, tested: int) -> tuple[int, ...]:
+    """Rooms for edges of the recordings that may serve a mesh with so many unmatched ones, from the least on."""
+    if tested == 0 and faces < 2 * edges <= 2 * MANY_EDGES:
+        # Its vertices are shared, or it would not have looked closed: so these are edges of two faces that do not
+        # agree, each of which counts twice.
+        return (BY_FACES,)
+    return kind.rooms(device.type)
 
 
 def _edges_told(room: int, said: list[int]) -> int | None:

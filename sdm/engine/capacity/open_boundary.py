@@ -14,15 +14,18 @@ from typing import Any, NamedTuple
 import warp as wp
 from torch import Tensor
 
+from sdm.engine.capacity.classes import BY_FACES
 from sdm.kernels.bvh.tree import PART_SIZE, coarser
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology import boundary_loops
 from sdm.kernels.topology.boundary_loops import ALL_EDGES, NUMBERS
-from sdm.kernels.winding.boundary_term import gather_boundary
+from sdm.kernels.topology.filler_faces import FACES
+from sdm.kernels.winding.boundary_term import gather_boundary, write_parts_of_faces
 from sdm.kernels.winding.cap_tree import build_caps
 from sdm.kernels.winding.winding_number import Winding
 from sdm.runtime.graphs.branches import MOMENTS, Join, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, repeated_row, workspace
+from sdm.topology.cap_triangles import turned
 
 # Numbers behind the flags of the join that the host reads.
 TOLD = NUMBERS - boundary_loops.FLAGS
@@ -87,6 +90,11 @@ class OpenBoundary(NamedTuple):
         """The edges, unmatched or of the boundary, that there is room for."""
         return self.edges.shape[0]
 
+    @property
+    def by_faces(self) -> bool:
+        """True if the faces turned inside out are the caps, so that nobody needs others."""
+        return self.room == BY_FACES
+
     def queue_joining(
         self, unmatched: Tensor, found: Tensor, vertices: Tensor, written: Callable[[], None] | None = None
     ) -> None:
@@ -100,12 +108,17 @@ class OpenBoundary(NamedTuple):
                 as_warp(found, wp.int32),
                 as_warp(vertices[None], wp.vec3),
                 as_warp(self.edges, wp.int32),
-                as_warp(self.caps, wp.int32),
+                None if self.by_faces else as_warp(self.caps, wp.int32),
                 as_warp(self.numbers, wp.int32),
                 workspace(vertices.device),
                 in_room=True,
                 written=written,
             )
+
+    @property
+    def _parts_of_caps(self) -> Tensor:
+        # Of faces there are others, where no caps are written.
+        return self.caps.view(-1)[: 2 * PART_SIZE] if self.by_faces else self.parts
 
     def winding(self, view: Any) -> Any:
         """Winding data in a structure's `view`, which `queue_winding` fills."""
@@ -116,27 +129,46 @@ class OpenBoundary(NamedTuple):
         set_array(winding.boundary, "parts", as_warp(self.parts, wp.int32))
         winding.boundary.count, winding.boundary.in_room = self.room, 1
         winding.caps.tree = coarser(view.winding.caps.tree, 0)
-        set_array(winding.caps.tree, "parts", as_warp(self.parts, wp.int32))
+        set_array(winding.caps.tree, "parts", as_warp(self._parts_of_caps, wp.int32))
+        winding.caps.are_faces = int(self.by_faces)
         winding.caps.tree.meshes = 2
         set_array(winding.caps, "moments", view.winding.caps.moments)
         winding.kind = view.winding.kind
         return winding
 
     def queue_winding(
-        self, winding: Any, tree: Any, vertices: Tensor, bounds: wp.array, empty: Any, edges_alone: bool, joined: Join
+        self,
+        winding: Any,
+        tree: Any,
+        vertices: Tensor,
+        faces: Tensor,
+        counts: Tensor,
+        bounds: wp.array,
+        empty: Any,
+        edges_alone: bool,
+        joined: Join,
     ) -> Join:
         """Queue kernels that fill `winding`, whose `tree` and edges are there: of `edges_alone` without caps.
 
-        These are there after `joined`. What it gives is to be called before the caps' moments are read.
+        These are there after `joined`. What it gives is to be called before the caps' moments are read. `faces` (F,3),
+        of which there are as many as `counts` (COUNTS,) say.
         """
         corners = as_warp(vertices[None], wp.vec3)
         gather_boundary(winding.boundary, tree, corners, as_warp(self.edges, wp.int32))
         if edges_alone:
             return nothing
-        joined()
-        room = 2 * self.caps.shape[0]
+        triangles = self.caps
+        if self.by_faces:
+            triangles = turned(faces)
+            parts = as_warp(self._parts_of_caps, wp.int32)
+            write_parts_of_faces(as_warp(counts, wp.int32), FACES, faces.shape[0], parts)
+        else:
+            joined()
+        room = 2 * triangles.shape[0]
         keys, slots = empty(room, wp.int64), empty(room, wp.int32)
-        caps = as_warp(self.caps, wp.int32)
+        caps = as_warp(triangles, wp.int32)
+        # Until the kernels are queued that read them.
+        empty.kept = triangles
         beside = partial(kernels_beside, vertices, MOMENTS)
         return build_caps(
             winding.caps, repeated_row(corners, 2), caps, bounds, keys, slots, fillers=True, beside=beside

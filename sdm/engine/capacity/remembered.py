@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from sdm.engine.capacity.class_calls import Told
+from sdm.engine.capacity.classes import BY_FACES
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.runtime import graphs
 from sdm.runtime.host_copy import number_later
@@ -70,5 +71,9 @@ def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:
 
 def _open_pairing(told: Told, rows: int, edges: int, ready: torch.cuda.Event | None) -> Pairing:
     pairing = Pairing(told.unmatched[:rows], told.neighbours, ready=ready)
-    remember_joined(pairing, *OpenBoundary.joined(told.boundary, told.room, edges))
+    found, caps = OpenBoundary.joined(told.boundary, told.room, edges)
+    if told.room == BY_FACES:
+        pairing.edges = found
+    else:
+        remember_joined(pairing, found, caps)
     return pairing

@@ -12,7 +12,7 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
 from sdm.engine.capacity import first_maps
 from sdm.engine.capacity.class_calls import class_key
-from sdm.engine.capacity.classes import LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
+from sdm.engine.capacity.classes import BY_FACES, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError
 from sdm.kernels.winding.rims import every_voxel
@@ -159,6 +159,30 @@ def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, monkeyp
     assert ambiguous() == expected.ambiguous_voxels
     assert rooms[-1] == MANY_EDGES
     assert "settle" not in went
+
+
+def test_faces_that_do_not_agree_are_their_own_caps(went, monkeypatch):
+    rooms = []
+    plain = first_maps.class_call
+    monkeypatch.setattr(
+        first_maps,
+        "class_call",
+        lambda kind, decisions, given, room, *more: rooms.append(room) or plain(kind, decisions, given, room, *more),
+    )
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
+    vertices, faces = _closed()
+    faces[::3] = faces[::3].flip(1)
+    assert len(faces) < len(boundary_edges(vertices, faces.clone()))
+    _map((vertices, faces))
+    assert rooms == [0, BY_FACES]
+    # Again, with what was remembered.
+    _map((vertices, faces))
+    assert len(rooms) == 2
+
+
+def test_boxes_look_closed():
+    assert looks_closed(12 * 64, 8 * 64)
+    assert not looks_closed(12 * 64 + 4, 8 * 64 + 2)
 
 
 def test_a_vertex_out_of_range_is_refused(went, monkeypatch):

@@ -12,7 +12,7 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
 from sdm.engine.capacity import open_boundary
 from sdm.engine.capacity.class_calls import class_call
-from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
+from sdm.engine.capacity.classes import BY_FACES, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.topology.boundary_loops import FLAGS, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
@@ -120,6 +120,19 @@ def test_few_edges_are_added_up_at_every_voxel(monkeypatch, name, turned):
     _same(mesh, grid, min(room, MOST_EDGES))
 
 
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_faces_turned_inside_out_are_caps_too(name, turned):
+    mesh = MESHES[name]()
+    _same(mesh, _grid(mesh[0], turned), BY_FACES)
+
+
+def test_room_for_more_edges_than_faces_have():
+    mesh = MESHES["torn"]()
+    assert 3 * class_of(len(mesh[1]), len(mesh[0]), _grid(mesh[0]), None)[0].faces < MANY_EDGES
+    _same(mesh, _grid(mesh[0]), MANY_EDGES)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_random_dirt(seed):
     rng = np.random.default_rng(seed)
@@ -178,7 +191,6 @@ def test_what_has_no_room_leaves_no_index_out_of_range():
     """The map has no meaning then, but it ends."""
     vertices, faces = (torch.from_numpy(array) for array in torus(3000))
     torn_up = faces[::2].contiguous()
-    found, boundary, _ = _class_map(vertices, torn_up, _grid(vertices.numpy()))
-    assert found[0].isfinite().all()
+    _, boundary, _ = _class_map(vertices, torn_up, _grid(vertices.numpy()))
     for index in (boundary.edges, boundary.caps):
         assert 0 <= int(index.min()) <= int(index.max()) < len(vertices)
