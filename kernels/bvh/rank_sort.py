@@ -28,8 +28,8 @@ BUCKET_BITS = 10
 BUCKETS = wp.constant(1 << BUCKET_BITS)
 # Numbers that are loaded at a time, as each takes long to arrive; and those of a bucket by each of the lanes of a GPU
 # that share its keys: where a mesh is fine, there may be thousands of them.
-AT_ONCE, OF_BUCKET = 8, 4
-SHARING = 8
+AT_ONCE, OF_BUCKET = 8, 8
+SHARING = 16
 
 Counts = wp.types.vector(length=AT_ONCE, dtype=wp.int32)
 KeysOfBucket = wp.types.vector(length=OF_BUCKET, dtype=wp.int64)
