@@ -33,9 +33,9 @@ SMALL, LARGEST = (1620, 4863, 20480, 81920), 1 << 20
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
 # And of meshes that have more, for which it would cost others some sorts of as many.
 MANY_EDGES = 8 * MOST_BOUNDARY_EDGES - 1
-# And of those that leave more edges unmatched than they have faces, so that the faces turned inside out are fewer caps
-# than triangles between the edges: one more, so that a recording is known by its room.
-BY_FACES = MANY_EDGES + 1
+# And of those with more edges than faces, so that the faces turned inside out are fewer caps than triangles between the
+# edges: one more, so that a recording is known by its room.
+BY_FACES = MOST_EDGES + 1, MANY_EDGES + 1
 # Least room for boundary edges that is worth recordings of their own for meshes with few.
 LEAST_FEW = 32
 # Larger classes that may serve a mesh until its own is worth a recording.
@@ -94,7 +94,7 @@ class CapacityClass:
 
     def open_sizes(self, room: int) -> PairSizes:
         """Sizes of the structure of both, with room for so many boundary edges of the mesh."""
-        caps = self.faces if room == BY_FACES else room + 1
+        caps = self.faces if room in BY_FACES else room + 1
         return self.sizes._replace(
             edges=room,
             visited_edges=room,

@@ -83,7 +83,7 @@ def class_map(
         edges = max(edges, more) if tested else more
     for room in _rooms(kind, device, total, edges, tested):
         # A recording for many edges is made for meshes that have them.
-        if room <= tested or edges > room or (edges <= MOST_EDGES < room < BY_FACES):
+        if room <= tested or edges > room or (edges <= MOST_EDGES and room == MANY_EDGES):
             continue
         found = attempt(room)
         if isinstance(found, tuple):
@@ -97,10 +97,10 @@ def class_map(
 
 def _rooms(kind: CapacityClass, device: torch.device, faces: int, edges: int, tested: int) -> tuple[int, ...]:
     """Rooms for edges of the recordings that may serve a mesh with so many unmatched ones, from the least on."""
-    if tested == 0 and faces < 2 * edges <= 2 * MANY_EDGES:
+    if tested == 0 and faces < 2 * edges <= BY_FACES[-1]:
         # Its vertices are shared, or it would not have looked closed: so these are edges of two faces that do not
         # agree, each of which counts twice.
-        return (BY_FACES,)
+        return tuple(room for room in BY_FACES if 2 * edges <= room)
     return kind.rooms(device.type)
 
 

@@ -93,7 +93,7 @@ class OpenBoundary(NamedTuple):
     @property
     def by_faces(self) -> bool:
         """True if the faces turned inside out are the caps, so that nobody needs others."""
-        return self.room == BY_FACES
+        return self.room in BY_FACES
 
     def queue_joining(
         self, unmatched: Tensor, found: Tensor, vertices: Tensor, written: Callable[[], None] | None = None

@@ -72,7 +72,7 @@ def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:
 def _open_pairing(told: Told, rows: int, edges: int, ready: torch.cuda.Event | None) -> Pairing:
     pairing = Pairing(told.unmatched[:rows], told.neighbours, ready=ready)
     found, caps = OpenBoundary.joined(told.boundary, told.room, edges)
-    if told.room == BY_FACES:
+    if told.room in BY_FACES:
         pairing.edges = found
     else:
         remember_joined(pairing, found, caps)
