@@ -73,7 +73,7 @@ def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array], zeros: wp.
     `zeros`: (ZEROS) int32 for its counters, if they lie elsewhere.
     """
     # Counted by eights: bytes may be more than an array counts.
-    block = empty(size_for(plan) // 8, wp.int64)
+    block: Any = empty(size_for(plan) // 8, wp.int64)
     if zeros is not None:
         return _workspace(plan, _Places(block.ptr, block.device.alias), zeros)
     return _workspace_at(plan, block.ptr, block.device.alias)

@@ -188,11 +188,12 @@ def pair_by_table(
     total = faces.size
     room = _places_for(faces.shape[0])
     # Keys, and where the lists begin, in one piece of memory: zero for none.
+    memory: Any = table
     if table is None:
-        table = empty(room + room // 2, wp.int64)
-        table.zero_()
-    keys = array_at(table.ptr, (room,), wp.int64, device.alias)
-    heads = array_at(table.ptr + 8 * room, (room,), wp.int32, device.alias)
+        memory = empty(room + room // 2, wp.int64)
+        memory.zero_()
+    keys = array_at(memory.ptr, (room,), wp.int64, device.alias)
+    heads = array_at(memory.ptr + 8 * room, (room,), wp.int32, device.alias)
     places, following = empty(total, wp.int32), empty(total, wp.int32)
     entered = [faces, bits_for(first.shape[0]), keys, heads, places, following, first]
     launch(_enter, total, entered, device, smallest=LIGHT_SHARE)
