@@ -74,6 +74,7 @@ class Unlaunched(captured_call.TableRecording):
         pool.last = _LastLaunch()  # type: ignore[assignment]
         self.lock, self._pool = threading.Lock(), pool
         self._device, self._index = table.device, NO_GPU
+        self._default = mock.Mock(cuda_stream=0)
         self._guesses, self._count, self._told = True, 2, 0
         self._flags = torch.zeros(captured_call.MOST_FLAGS, dtype=torch.int32)
         self._said = self._flags.numpy().data

@@ -114,6 +114,18 @@ class SDM:
             field.__dict__["_pending"] = check
         return field
 
+    @classmethod
+    def on_gpu(cls, values: Tensor, grid: Grid, *, sign: str, check: Callable[[Grid, int], None] | None = None) -> SDM:
+        """A map without ambiguous voxels whose values are known to be on a GPU, and to fit its grid.
+
+        With a `check`, see `checked_by`. Of small maps the host's work is felt.
+        """
+        field = cls.__new__(cls)
+        field.__dict__.update(values=values, grid=grid, ambiguous_voxels=0, sign=sign)
+        if check is not None:
+            field.__dict__["_pending"] = check
+        return field
+
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:

@@ -181,8 +181,7 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
         return None
 
     def make(values: Tensor) -> SDM:
-        field, check = SDM(values, grid, 0, sign="winding"), one_check(mesh, "winding")
-        return field if check is None else field.checked_by(check)
+        return SDM.on_gpu(values, grid, sign="winding", check=one_check(mesh, "winding"))
 
     try:
         found, tried = ready_map(vertices, faces, grid, index, make) if maps.USE_CLASSES else (None, None)

@@ -35,6 +35,7 @@ class Found(NamedTuple, Generic[T]):
         count: Of its vertices.
         note: Of its faces, see `face_pairing.noted`.
         ready: Event after the launch.
+        counter: Of the map's ambiguous voxels, if the mesh is open.
     """
 
     made: T
@@ -43,11 +44,13 @@ class Found(NamedTuple, Generic[T]):
     count: int
     note: Noted
     ready: torch.cuda.Event | None
+    counter: Callable[[], int] | None
 
 
 def while_at_work(faces: Tensor, count: int, make: Callable[[Tensor], T], values: Tensor, told: Told) -> Found[T]:
     """What can be made of a map (nx,ny,nz) before it is known whether the recording serves its mesh."""
-    return Found(make(values), told, faces, count, noted(faces, count), graphs.last_launch(faces.device))
+    counter = number_later(told.memory, told.last) if told.room else None
+    return Found(make(values), told, faces, count, noted(faces, count), graphs.last_launch(faces.device), counter)
 
 
 def finished(found: Found[T], said: list[int]) -> tuple[T, Callable[[], int] | None]:
@@ -55,14 +58,14 @@ def finished(found: Found[T], said: list[int]) -> tuple[T, Callable[[], int] | N
 
     `said`: what the recording told the host.
     """
-    made, told, faces, count, note, ready = found
+    made, told, faces, count, note, ready, counter = found
     rows, edges = said[-2:] if told.room else (0, 0)
     if rows == 0:
         remember_noted(note, partial(_closed_pairing, told, ready))
         return made, None
     remember_noted(note, partial(_open_pairing, told, rows, edges, ready))
     guesses.remember_numbers(faces, count, guesses.Guess(rows, edges))
-    return made, number_later(told.memory, told.last) if edges else None
+    return made, counter if edges else None
 
 
 def _closed_pairing(told: Told, ready: torch.cuda.Event | None) -> Pairing:

@@ -218,6 +218,7 @@ class TableRecording(Recording):
     def __init__(self, pool: MemoryPool, work: Work, table: Table) -> None:
         super().__init__(pool, table.device)
         self._index = table.device.index
+        self._default = torch.cuda.default_stream(table.device)
         self._new, self._most_spare = table.new, table.spare
         self._spare: list[Any] = []
         with _plain(table.device):
@@ -270,7 +271,8 @@ class TableRecording(Recording):
             pool.launches += 1
             self._replay()
         finally:
-            stream = stream or torch.cuda.current_stream(index)
+            if stream is None:
+                stream = self._default if by_default else torch.cuda.current_stream(index)
             for given in reads:
                 given.record_stream(stream)
             pool.end_launch(stream)
