@@ -180,14 +180,36 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     return kind, decisions
 
 
-def is_of_all(kind: CapacityClass, decisions: Decisions) -> bool:
-    """True if a class is that of all meshes with as many faces that share vertices, on grids of cubic voxels that are
-    not turned, and what is decided about one by the usual options is decided about all.
+def is_usual(kind: CapacityClass, memory: int | None) -> bool:
+    """True if meshes that share vertices are of this class, on grids of cubic voxels that are not turned."""
+    most, cell = kind.most, kind.plan.cell
+    return kind is _class(most, int(SHARED * most), kind.shape, False, False, cell, memory, USUAL)
+
+
+@lru_cache(maxsize=256)
+def stretches(most: int, shape: tuple[int, int, int], gpu: bool) -> tuple[list[int], list[Decisions]]:
+    """Most faces of each stretch of meshes of a class about which the same is decided, and that, by the usual options.
+
+    As `_of_all` says, what is the same at both ends of a stretch of trees of one depth is so in between.
     """
-    return any(
-        found == (kind, decisions) and room == int(SHARED * most) and not (turned or uneven)
-        for (most, room, _, turned, uneven, _), found in _usual.items()
-    )
+    ends = _ends(*bounds_of(most))
+    found: list[tuple[int, Decisions]] = []
+
+    def at(faces: int) -> tuple[Decisions, bool]:
+        return _decided(faces, shape, gpu, USUAL), leaves_are_long(faces, shape)
+
+    # From the last on, as they are taken from the end.
+    left = [(begin, at(begin), end, at(end)) for begin, end in zip(ends[::2], ends[1::2], strict=True)][::-1]
+    while left:
+        begin, first, end, last = left.pop()
+        if first == last or begin == end:
+            found.append((end, last[0]))
+        else:
+            middle = (begin + end) // 2
+            left += [(middle + 1, at(middle + 1), end, last), (begin, first, middle, at(middle))]
+    # Neighbours that are alike are one.
+    kept = [one for one, after in zip(found, [*found[1:], None], strict=True) if after is None or one[1] != after[1]]
+    return [faces for faces, _ in kept], [decisions for _, decisions in kept]
 
 
 def _mosts() -> list[int]:

@@ -63,7 +63,7 @@ def class_map(
         found, said = graphs.attempt_by_table(class_call(*about, room, instead, launched))
         if found is None:
             return said
-        note_ready(kind, decisions, device, room)
+        note_ready(kind, device, room, larger_classes(kind, decisions, grid, memory_of(warp_name(device))))
         return finished(found, said)
 
     if tried is None and looks_closed(total, count):

@@ -9,7 +9,7 @@ the same.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import torch
@@ -17,11 +17,20 @@ from torch import Tensor
 
 from sdm.core.grid import IDENTITY, Grid
 from sdm.engine.capacity.class_calls import Told, class_key, fill_table, told_behind
-from sdm.engine.capacity.classes import LARGEST, MANY_EDGES, MOST_EDGES, MOSTS, CapacityClass, is_of_all
+from sdm.engine.capacity.classes import (
+    LARGEST,
+    MANY_EDGES,
+    MOST_EDGES,
+    MOSTS,
+    CapacityClass,
+    is_usual,
+    stretches,
+)
 from sdm.engine.capacity.remembered import finished, while_at_work
 from sdm.engine.plan_override import OPTIONS, USUAL
-from sdm.kernels.dense.plan import Decisions
+from sdm.kernels.dense.plan import Decisions, memory_of
 from sdm.runtime import graphs
+from sdm.runtime.torch_warp import warp_name
 from sdm.topology import face_pairing, guesses
 
 # What is made of a map.
@@ -35,13 +44,22 @@ MOST_OF_CLOSED = 12
 MOST_KEPT = 256
 
 
-class _Ready(NamedTuple):
-    """A class whose decisions are those of all its meshes, and its recordings by their room for edges."""
+class _Recording(NamedTuple):
+    """A recording for meshes of a class: its own, or until that is worth the time that of a larger one."""
 
+    kept: graphs.Kept
     kind: CapacityClass
-    decisions: Decisions
+    behind: int  # see `told_behind`
+    left: list[int]  # of a larger one, calls before one looks whether the class is due
+
+
+class _Ready(NamedTuple):
+    """Recordings for the meshes of a class by their room for edges, and what is decided about these meshes."""
+
+    most: list[int]  # faces of each stretch of `stretches`
+    decisions: list[Decisions]
     rooms: tuple[int, ...]
-    recordings: dict[int, tuple[graphs.Kept, int]]
+    recordings: dict[int, _Recording]
 
 
 # By the GPU's number, the most faces of the class, and the grid's shape.
@@ -55,21 +73,30 @@ def looks_closed(faces: int, vertices: int) -> bool:
     return open_by % 4 == 0 and (open_by <= MOST_OF_CLOSED or 3 * vertices == 2 * faces)
 
 
-def note_ready(kind: CapacityClass, decisions: Decisions, device: torch.device, room: int) -> None:
-    """Note the recording of a class, with room for so many edges, for the calls to come."""
-    kept = graphs.kept(device, class_key(kind, room))
+def note_ready(kind: CapacityClass, device: torch.device, room: int, larger: Iterable[CapacityClass]) -> None:
+    """Note the recording that served a class, with room for so many edges, for the calls to come.
+
+    It is that of the class, or if there is none of the first of `larger` that there is.
+    """
     # As `Tensor.get_device` tells it.
     key = -1 if device.index is None else device.index, kind.most, kind.shape
     ready = _ready.get(key)
-    if kept is None or (ready is not None and ready.recordings.get(room) == (kept, told_behind(room))):
+    kept, by = graphs.kept(device, class_key(kind, room)), kind
+    known = None if ready is None else ready.recordings.get(room)
+    if kept is not None and known is not None and known.kept is kept:
         return
-    if not is_of_all(kind, decisions):
+    if kept is None:
+        found = ((graphs.kept(device, class_key(one, room)), one) for one in larger)
+        kept, by = next(((kept, one) for kept, one in found if kept is not None), (None, kind))
+    if kept is None or not is_usual(kind, memory_of(warp_name(device))):
         return
-    if ready is None or ready.kind is not kind:
+    if ready is None:
         while len(_ready) >= MOST_KEPT:
             del _ready[next(iter(_ready))]
-        ready = _ready[key] = _Ready(kind, decisions, kind.rooms(device.type), {})
-    ready.recordings[room] = kept, told_behind(room)
+        parts = stretches(kind.most, kind.shape, device.type == "cuda")
+        ready = _ready[key] = _Ready(*parts, kind.rooms(device.type), {})
+    left = [] if by is kind else [graphs.PATIENCE]
+    ready.recordings[room] = _Recording(kept, by, told_behind(room), left)
 
 
 def ready_map(
@@ -87,7 +114,7 @@ def ready_map(
     ready = _ready.get((index, MOSTS[bisect_left(MOSTS, total)], grid.shape))
     if ready is None or id(faces) in face_pairing.known or (total, count) in guesses.last_open:
         return None, None
-    kind, decisions, rooms, recordings = ready
+    most, every, rooms, recordings = ready
     room = 0
     if not looks_closed(total, count):
         edges = min(2 * count - total, MANY_EDGES)
@@ -95,11 +122,15 @@ def ready_map(
             if edges <= room and not edges <= MOST_EDGES < room:
                 break
     recording = recordings.get(room)
-    if recording is None or count > kind.vertices or OPTIONS.get() is not USUAL:
+    if recording is None or OPTIONS.get() is not USUAL:
         return None, None
-    if not (vertices.is_contiguous() and faces.is_contiguous()):
+    kept, kind, behind, left = recording
+    decisions = every[bisect_left(most, total)]
+    if left:
+        left[0] -= 1
+    fits = count <= kind.vertices and decisions.cell == kind.plan.cell and decisions.method == "cells"
+    if not (fits and vertices.is_contiguous() and faces.is_contiguous()) or (left and left[0] < 0):
         return None, None
-    kept, behind = recording
 
     def launched(filled: tuple[Tensor, Tensor]) -> Any:
         values, told = filled

@@ -20,6 +20,7 @@ For the library: `run` is the one entrance, and `speculate` the one for calls wh
 from sdm.runtime.graphs.captured_call import Verify, Work, unverified
 from sdm.runtime.graphs.graph_cache import CALLS, Kept
 from sdm.runtime.graphs.replay import (
+    PATIENCE,
     Call,
     TableCall,
     TableWork,
@@ -40,6 +41,7 @@ from sdm.runtime.graphs.replay import (
 
 __all__ = [
     "CALLS",
+    "PATIENCE",
     "Call",
     "Kept",
     "TableCall",
