@@ -180,6 +180,16 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     return kind, decisions
 
 
+def has_room_for(larger: CapacityClass, kind: CapacityClass) -> bool:
+    """True if a larger class has room for what decides about the bits of any mesh of a class."""
+    plan, own = larger.plan, kind.plan
+    return (
+        plan.region_shares >= own.region_shares
+        and plan.cell_shares >= own.cell_shares
+        and plan.levels_left_out >= own.levels_left_out
+    )
+
+
 def is_usual(kind: CapacityClass, memory: int | None) -> bool:
     """True if meshes that share vertices are of this class, on grids of cubic voxels that are not turned."""
     most, cell = kind.most, kind.plan.cell

@@ -23,6 +23,7 @@ from sdm.engine.capacity.classes import (
     MOST_EDGES,
     MOSTS,
     CapacityClass,
+    has_room_for,
     is_usual,
     stretches,
 )
@@ -83,10 +84,11 @@ def note_ready(kind: CapacityClass, device: torch.device, room: int, larger: Ite
     ready = _ready.get(key)
     kept, by = graphs.kept(device, class_key(kind, room)), kind
     known = None if ready is None else ready.recordings.get(room)
-    if kept is not None and known is not None and known.kept is kept:
+    # A larger one is not noted again, so that the class is due one day.
+    if known is not None and known.kept.recording is not None and (kept is None or known.kept is kept):
         return
     if kept is None:
-        found = ((graphs.kept(device, class_key(one, room)), one) for one in larger)
+        found = ((graphs.kept(device, class_key(one, room)), one) for one in larger if has_room_for(one, kind))
         kept, by = next(((kept, one) for kept, one in found if kept is not None), (None, kind))
     if kept is None or not is_usual(kind, memory_of(warp_name(device))):
         return
