@@ -152,7 +152,7 @@ def _write_edges(
 
 @wp.kernel
 def _tell_room(begin: int, room: int, flags: wp.array(dtype=wp.int32)):
-    """What `_follow` tells where edges are in room."""
+    """Tell, as `_follow` does, by how many edges there is too little room."""
     flags[WRONG_EDGES] = wp.max(flags[ALL_EDGES] - room, 0)
 
 

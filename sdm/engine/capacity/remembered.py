@@ -48,7 +48,7 @@ class Found(NamedTuple, Generic[T]):
 
 
 def while_at_work(faces: Tensor, count: int, make: Callable[[Tensor], T], values: Tensor, told: Told) -> Found[T]:
-    """What can be made of a map (nx,ny,nz) before it is known whether the recording serves its mesh."""
+    """The part of the work on a map (nx,ny,nz) that can be done before it is known whether the recording serves."""
     counter = number_later(told.memory, told.last) if told.room else None
     return Found(make(values), told, faces, count, noted(faces, count), graphs.last_launch(faces.device), counter)
 

@@ -90,7 +90,7 @@ class GraphCache:
         return key in self._captured
 
     def kept(self, key: Hashable) -> Kept | None:
-        """What is kept of the recording of the calls with a key, if there is one."""
+        """The recording of the calls with a key as it is kept, if there is one."""
         return self._captured.get(key)
 
     def find(self, key: Hashable) -> Recording | None:

@@ -232,7 +232,7 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
 
 
 def kept(device: torch.device, key: Hashable) -> Kept | None:
-    """What is kept of the recording of calls by table with a key, for `attempt_kept`; None if there is none."""
+    """The recording of calls by table with a key, as it is kept, for `attempt_kept`; None if there is none."""
     cache = _caches.get(device)
     return None if cache is None else cache.kept(key)
 

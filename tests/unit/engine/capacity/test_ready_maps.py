@@ -54,7 +54,7 @@ class OnTheHost(captured_call.TableRecording):
         return results
 
     def guessed_right(self):
-        """What was told."""
+        """Answers by the flags that were told."""
         return not any(self._said[: len(self._said) - self._told_behind]), self._said
 
 
