@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TypeAlias
-
-import numpy as np
 
 from sdm.errors import SDMError
 
@@ -31,10 +27,6 @@ class Outcome:
 
     kind: str
     refused: bool
-
-
-# Takes a generator and an empty folder. Raises `Finding`.
-Trial: TypeAlias = Callable[[np.random.Generator, Path], Outcome]
 
 
 @contextmanager

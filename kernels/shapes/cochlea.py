@@ -11,8 +11,6 @@ from sdm.kernels.shapes.vertex_launch import add_gradient, fill_vertices
 wp.set_module_options({"enable_backward": True})
 
 TURN = 6.283185307179586
-# Columns of the table of stations along the centre line.
-STATION_SIZE = 8
 
 
 @wp.func

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
-from sdm.kernels.launch import set_array
-from sdm.kernels.surface.cell_cases import cell_cases
 from sdm.kernels.surface.voxel_rows import Segment, Voxels, are_there, segment_of, value_at
 
 wp.set_module_options({"enable_backward": False})
@@ -140,11 +136,3 @@ def counts_of(voxels: Voxels, cases: Cases, block: int, line: int):
                 vertices += bits_of(cases.centres[case])
                 triangles += cases.start[case + 1] - cases.start[case]
     return wp.vec3i(vertices, triangles, crossings.edges)
-
-
-def cases_struct(array: Any) -> Any:
-    """The tables as kernels take them; `array` makes a Warp array of a NumPy array."""
-    found = Cases()
-    for name, table in vars(cell_cases()).items():
-        set_array(found, name, array(table))
-    return found

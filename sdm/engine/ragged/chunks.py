@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import torch
 
@@ -20,18 +20,6 @@ TRIANGLE_BYTES, VOXEL_BYTES = 1000, 8
 MOST_MESHES, MOST_TRIANGLES, MOST_VOXELS = 1 << 12, 1 << 26, 1 << 29
 
 
-class Load(NamedTuple):
-    """Share of a chunk that one mesh takes."""
-
-    triangles: int
-    voxels: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory, about."""
-        return TRIANGLE_BYTES * self.triangles + VOXEL_BYTES * self.voxels
-
-
 def bytes_for(device: torch.device) -> int:
     """Bytes of a chunk on a device, where nobody says."""
     return total_memory(device) // GPU_SHARE if device.type == "cuda" else CPU_BYTES
@@ -42,7 +30,7 @@ def in_chunks(items: Iterable[T], load: Callable[[T], tuple[int, int]], limit: C
 
     Args:
         items: Taken as they are needed.
-        load: What an item adds: a `Load`, or as much.
+        load: Triangles and voxels that an item adds.
         limit: Bytes of a chunk that begins with this item.
     """
     chunk: list[T] = []

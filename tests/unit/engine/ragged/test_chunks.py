@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from sdm.engine.ragged import chunks
-from sdm.engine.ragged.chunks import Load, in_chunks, voxels_of
+from sdm.engine.ragged.chunks import TRIANGLE_BYTES, VOXEL_BYTES, in_chunks, voxels_of
 
 
-def sizes(loads: list[Load], most: int) -> list[int]:
+def sizes(loads: list[tuple[int, int]], most: int) -> list[int]:
     return [len(chunk) for chunk in in_chunks(loads, lambda load: load, lambda _: most)]
 
 
 def test_bytes_bound_a_chunk():
-    loads = [Load(10, 64)] * 7
-    each = loads[0].nbytes
+    loads = [(10, 64)] * 7
+    each = 10 * TRIANGLE_BYTES + 64 * VOXEL_BYTES
     assert sizes(loads, 3 * each) == [3, 3, 1]
     assert sizes(loads, 3 * each - 1) == [2, 2, 2, 1]
     assert sizes(loads, 1) == [1] * 7
@@ -20,14 +20,14 @@ def test_bytes_bound_a_chunk():
 
 
 def test_a_large_one_is_alone():
-    loads = [Load(10), Load(10), Load(10**6), Load(10)]
-    assert sizes(loads, 100 * loads[0].nbytes) == [2, 1, 1]
+    loads = [(10, 0), (10, 0), (10**6, 0), (10, 0)]
+    assert sizes(loads, 1000 * TRIANGLE_BYTES) == [2, 1, 1]
 
 
 def test_numbers_stay_within_32_bits():
-    assert sizes([Load(chunks.MOST_TRIANGLES // 2)] * 3, 1 << 60) == [2, 1]
-    assert sizes([Load(1, chunks.MOST_VOXELS // 2)] * 3, 1 << 60) == [2, 1]
-    assert sizes([Load(1)] * (chunks.MOST_MESHES + 1), 1 << 60) == [chunks.MOST_MESHES, 1]
+    assert sizes([(chunks.MOST_TRIANGLES // 2, 0)] * 3, 1 << 60) == [2, 1]
+    assert sizes([(1, chunks.MOST_VOXELS // 2)] * 3, 1 << 60) == [2, 1]
+    assert sizes([(1, 0)] * (chunks.MOST_MESHES + 1), 1 << 60) == [chunks.MOST_MESHES, 1]
 
 
 def test_maps_begin_at_multiples_of_256_bytes():
