@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from torch import Tensor
 from torch.nn import functional
 
 from sdm.errors import SDMError
-from sdm.metrics.masks import masks
+from sdm.metrics.masks import Mask, masks
 from sdm.metrics.overlap import dice
 
 
-def contour_dice(prediction: Tensor, truth: Tensor, width: int = 5) -> float:
+def contour_dice(prediction: Mask, truth: Mask, width: int = 5) -> float:
     """Dice over the voxels near the truth's contour alone, which the bulk of a large organ cannot hide.
 
     The band is every voxel whose cube of width^3 voxels holds foreground and background of the truth: its dilation by

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from torch import Tensor
-
 from sdm.metrics.contour import contour_dice
-from sdm.metrics.masks import masks
+from sdm.metrics.masks import Mask, masks
 from sdm.metrics.overlap import dice, jaccard
 from sdm.metrics.surface import average_of, hausdorff_of, rms_of
 from sdm.metrics.surface_voxels import surface_distances
@@ -38,7 +36,7 @@ class SegmentationScores:
     failed: bool
 
 
-def evaluate_segmentation(prediction: Tensor, truth: Tensor, spacing_mm: float | Sequence[float]) -> SegmentationScores:
+def evaluate_segmentation(prediction: Mask, truth: Mask, spacing_mm: float | Sequence[float]) -> SegmentationScores:
     """Every metric of one case; the distances between the surfaces are found once.
 
     Args:

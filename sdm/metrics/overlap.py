@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
-from sdm.metrics.masks import masks
+from sdm.metrics.masks import Mask, masks
 
 
-def dice(prediction: Tensor, truth: Tensor) -> float:
+def dice(prediction: Mask, truth: Mask) -> float:
     """2 |P and T| / (|P| + |T|): 1 is perfect, 0 no overlap.
 
     Args:
@@ -22,7 +20,7 @@ def dice(prediction: Tensor, truth: Tensor) -> float:
     return 2 * int((prediction & truth).sum()) / size if size else float("nan")
 
 
-def jaccard(prediction: Tensor, truth: Tensor) -> float:
+def jaccard(prediction: Mask, truth: Mask) -> float:
     """|P and T| / |P or T|, the intersection over union: 1 is perfect, 0 no overlap.
 
     Args:

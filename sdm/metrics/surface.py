@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from sdm.errors import SDMError
+from sdm.metrics.masks import Mask
 from sdm.metrics.surface_voxels import SurfaceDistances, surface_distances
 
 Spacing = float | Sequence[float]
 
 
-def hausdorff_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing, percentile: float = 95.0) -> float:
+def hausdorff_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing, percentile: float = 95.0) -> float:
     """The larger of the two directions' percentiles of surface distances in mm: the 95 % Hausdorff distance.
 
     As in MONAI. Percentiles are interpolated linearly; 100 is the Hausdorff distance itself.
@@ -26,12 +27,12 @@ def hausdorff_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing, p
     return hausdorff_of(surface_distances(prediction, truth, spacing_mm), percentile)
 
 
-def average_surface_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing) -> float:
+def average_surface_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing) -> float:
     """Average symmetric surface distance in mm: the mean over all surface voxels of both masks."""
     return average_of(surface_distances(prediction, truth, spacing_mm))
 
 
-def rms_surface_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing) -> float:
+def rms_surface_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing) -> float:
     """Root mean square symmetric surface distance in mm, over all surface voxels of both masks."""
     return rms_of(surface_distances(prediction, truth, spacing_mm))
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
-from sdm.metrics.masks import masks
+from sdm.metrics.masks import Mask, masks
 
 
 class SurfaceDistances(NamedTuple):
@@ -39,7 +39,7 @@ def surface_voxels(mask: Tensor) -> Tensor:
     return inside & ~buried
 
 
-def surface_distances(prediction: Tensor, truth: Tensor, spacing_mm: float | Sequence[float]) -> SurfaceDistances:
+def surface_distances(prediction: Mask, truth: Mask, spacing_mm: float | Sequence[float]) -> SurfaceDistances:
     """Distances between the surface voxels of two masks, centre to centre, both ways.
 
     Args:

@@ -37,7 +37,8 @@ class SampleLaw:
     def __post_init__(self) -> None:
         shares = (self.near, self.uniform, self.surface)
         lengths = (*self.deviations, self.box)
-        if min(shares) < 0 or sum(shares) == 0 or (self.near and not self.deviations):
+        whole = all(share >= 0 and share % 1 == 0 for share in shares)
+        if not whole or sum(shares) == 0 or (self.near and not self.deviations):
             raise SDMError(
                 f"near, uniform, surface = {', '.join(map(str, shares))} is no law: give whole numbers of at least 0, "
                 "not all of them 0; and samples near the surface need deviations"

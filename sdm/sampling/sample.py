@@ -94,7 +94,7 @@ def sample(
         SDMError: A number that makes no sense, or more samples than fit into memory.
     """
     found = as_mesh(mesh)
-    if count < 1 or first < 0:
+    if count < 1 or first < 0 or count % 1 or first % 1:
         raise SDMError(f"{count} samples from number {first} were requested; give at least 1, from 0 or later")
     SignMethod(sign, hole_size)
     where = choose_device(device, found.vertices)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.random import derive_seed
-from sdm.errors import MeshError
+from sdm.errors import MeshError, SDMError
 from sdm.shapes.sampling import uniform
 
 
@@ -24,8 +24,11 @@ def surface_points(mesh: MeshLike, count: int, *, seed: int = 0) -> tuple[Tensor
 
     Raises:
         MeshError: Every triangle has zero area.
+        SDMError: Less than no points.
     """
     mesh = as_mesh(mesh)
+    if count < 0:
+        raise SDMError(f"{count} points were requested; give 0 or more")
     corners = mesh.vertices.detach()[mesh.faces.long()]
     areas = triangle_areas(corners)
     total = areas.cumsum(0)

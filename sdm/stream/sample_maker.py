@@ -22,6 +22,7 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import DeviceError, MeshError, SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.shapes import Family
+from sdm.shapes.named_family import check_promises
 from sdm.stream.batch import Batch
 from sdm.stream.known_boundaries import Topology
 from sdm.stream.samplers import Sampler, as_sampler
@@ -58,7 +59,7 @@ class Maker:
     Raises:
         DeviceError: The device is not there.
         GridError: A map that does not fit into memory.
-        MeshError: No family.
+        MeshError: No family, or one of yours whose parts do not fit together.
         SDMError: A seed, a type or a truncation that makes no sense, or distances that float16 may not hold.
 
     A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
@@ -81,6 +82,8 @@ class Maker:
         self.signs = SignMethod(sign, hole_size)
         if not isinstance(family, Family):
             raise MeshError(f"{family!r:.80} is no family of shapes: sdm.shapes.load_family makes one of a name")
+        if not type(family).__module__.startswith("sdm."):
+            check_promises(family, type(family).__name__)
         if not isinstance(seed, SupportsIndex):
             raise SDMError(f"the seed is {seed!r}; give a whole number")
         if dtype not in DTYPES:

@@ -280,7 +280,9 @@ def _counts(*backends: Backend | None) -> dict[str, int]:
 
 def image_tensor(image: Any, grid: Grid, device: torch.device) -> Tensor:
     """The image (nx,ny,nz) float64 on a device, if it can be fitted."""
-    values = torch.as_tensor(np.asarray(image) if not isinstance(image, Tensor) else image)
+    if not isinstance(image, Tensor) and np.asarray(image).dtype.kind not in "buif":
+        raise SDMError(f"an image holds numbers, not {np.asarray(image).dtype}: give a tensor or a NumPy array")
+    values = image if isinstance(image, Tensor) else torch.as_tensor(np.asarray(image))
     if tuple(values.shape) != grid.shape:
         raise GridError(f"an image of shape {tuple(values.shape)} does not fit a grid of shape {grid.shape}")
     if min(grid.shape) < SMALLEST_AXIS:
