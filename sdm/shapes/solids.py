@@ -14,6 +14,7 @@ from sdm.kernels.shapes import solids
 from sdm.kernels.shapes.solids import CUBOID, CYLINDER, ELLIPSOID, RHOMBOID, SLOTS
 from sdm.shapes.cube_sphere import cube_surface, unit_cylinder, unit_sphere
 from sdm.shapes.family import Family, Parameter, as_theta
+from sdm.shapes.solids_reference import reference_vertices
 from sdm.shapes.vertex_op import vertex_op
 
 FEWEST, MOST = 12, 4_000_000
@@ -87,6 +88,10 @@ class _Solids(Family):
         """Vertices (B,V,3) for theta (B,P), differentiable in theta (not in which solid it is)."""
         theta = as_theta(theta, len(self.parameters), self.name)
         return _solids_vertices(theta, self._on(theta.device, "tables", lambda: self._tables), self._count)
+
+    def reference_vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) for theta (B,P) by plain torch, in theta's own type."""
+        return reference_vertices(theta, self._on(theta.device, "tables", lambda: self._tables))
 
 
 def _lengths(sizes: tuple[float, float], *names: str) -> dict[str, Parameter]:

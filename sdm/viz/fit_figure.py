@@ -139,7 +139,7 @@ def _estimates(result: FitResult) -> list[str]:
     ends = result.posterior.intervals(0.9)[: len(result.parameters)].tolist()
     lines = ["estimate and 90 % interval"]
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=True):
-        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        unit = "" if parameter.unit in ("1", "length") else f" {parameter.unit}"
         lines.append(f"{parameter.name} = {value:.4f} ({low:.4f} to {high:.4f}){unit}")
     if len(lines) > MOST_LINES:
         lines[MOST_LINES - 1 :] = [f"and {len(lines) - MOST_LINES + 1} more: see the report"]

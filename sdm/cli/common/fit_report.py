@@ -83,7 +83,7 @@ def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> Non
     """Print estimates with their intervals, and what they take for granted."""
     ends = result.posterior.intervals(0.9).tolist()
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=False):
-        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        unit = "" if parameter.unit in ("1", "length") else f" {parameter.unit}"
         print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
     place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
     print(f"centre {place} {unit_of_length}".rstrip())

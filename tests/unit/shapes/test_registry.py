@@ -14,6 +14,7 @@ from sdm import shapes
 from sdm.cli.commands.generate import generate
 from sdm.dataset.family_registry import FAMILIES
 from sdm.errors import MeshError
+from sdm.fit.model.jacobian import vertices_with_jacobian
 from sdm.shapes import Family, families, make_family
 
 
@@ -64,6 +65,17 @@ def test_samples_are_closed_and_inside_the_grid(family):
 def test_reference_vertices_are_the_vertices(family):
     theta = family.sample(3, device="cpu")
     torch.testing.assert_close(family.reference_vertices(theta.double()).float(), family.vertices(theta))
+
+
+def test_fits_have_derivatives_of_families_without_files(family):
+    if family.needs_files:
+        pytest.skip("a folder's meshes are for training")
+    theta = family.sample(1, seed=3, device="cpu")[0].double()
+    vertices, jacobian = vertices_with_jacobian(family, theta)
+    step = 1e-6 * torch.eye(len(theta), dtype=torch.float64)[0]
+    ahead, behind = (family.reference_vertices((theta + way * step)[None])[0] for way in (1, -1))
+    torch.testing.assert_close(jacobian[:, :, 0], (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(vertices, family.reference_vertices(theta[None])[0])
 
 
 def test_transforms_are_of_families_that_place_meshes(family):
