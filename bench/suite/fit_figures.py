@@ -75,14 +75,14 @@ def _residual(record: Any) -> list[float]:
 
 
 FIT_FIGURES: tuple[tuple[str, str, Numbers], ...] = (
-    ("all as assumed {:.0f} % ({})", "fit-mismatch", _coverage_of("matched")),
-    ("taken for 0.2 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.20")),
-    ("for 0.3 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.30")),
-    ("over 0.6 voxels {:.0f} % ({})", "fit-mismatch", _coverage_of("correlated")),
-    ("degrees of freedom {:.0f} % ({})", "fit-mismatch", _coverage_of("heavy-tailed")),
-    ("along x {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
-    ("partial volume {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
-    ("shading together {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
+    ("all as assumed | {:.0f} % ({})", "fit-mismatch", _coverage_of("matched")),
+    ("taken for 0.2 | {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.20")),
+    ("taken for 0.3 | {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.30")),
+    ("over 0.6 voxels | {:.0f} % ({})", "fit-mismatch", _coverage_of("correlated")),
+    ("degrees of freedom | {:.0f} % ({})", "fit-mismatch", _coverage_of("heavy-tailed")),
+    ("along x | {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
+    ("by `--model labels` | {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
+    ("shading together | {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
     ("Of {} shapes at 0.3 mm and 200 HU of noise", "fit-formation", lambda r: _formation_counts(r)[:1]),
     ("trusted fits, {} to {} of them", "fit-formation", lambda r: _formation_counts(r)[1:]),
     ("Of the {} fits that are not trusted, {} reach the image's border", "fit-formation", _border),
