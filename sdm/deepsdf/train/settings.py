@@ -72,8 +72,9 @@ class Settings(TrainingSettings):
         check_choice("variant", self.variant, VARIANTS)
         check_choice("schedule", self.schedule, ("halving", "cosine"))
         check_choice("precision", self.precision, ("bf16", "tf32", "float32"))
-        for name in ("width", "layers", "global_size", "shapes", "points", "epochs"):
+        for name in ("width", "layers", "global_size", "points", "epochs"):
             check_number(name, getattr(self, name), least=1)
+        check_number("batch size", self.shapes, least=1)
         for name in ("clamp", "decoder_rate", "code_rate"):
             check_number(name, getattr(self, name), above=0)
         if self.variant == "published" and self.layers < 5:

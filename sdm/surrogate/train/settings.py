@@ -108,8 +108,9 @@ class Settings(TrainingSettings):
         check_choice("loss", self.loss, ("mse", "surface"))
         for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
             check_number(name, getattr(self, name), least=1)
-        for name in ("fresh", "pointwise", "rate", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
+        for name in ("fresh", "pointwise", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
             check_number(name, getattr(self, name), least=0)
+        check_number("learning rate", self.rate, least=0)
         for name in ("fill_share", "warm_share", "hard"):
             check_number(name, getattr(self, name), least=0, most=1)
         check_number("ema", self.ema, least=0, most=1)

@@ -167,6 +167,8 @@ def points_of(path: Path) -> Any:
     from sdm.errors import FormatError, MeshError
     from sdm.io import load_mesh
 
+    if path.is_dir():
+        raise FormatError(f"{path} is a folder; give a file of points")
     if not path.is_file():
         raise FormatError(f"{path} cannot be read: no such file")
     if path.suffix.lower() == ".npy":
