@@ -27,6 +27,7 @@ from sdm.bench.suite.band_figures import (
     watertight_seconds,
 )
 from sdm.bench.suite.fit_figures import FIT_FIGURES
+from sdm.bench.suite.other_tools_figures import OTHER_TOOLS_FIGURES
 from sdm.bench.suite.page_tables import TABLES
 from sdm.bench.suite.readme_figures import README_FIGURES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
@@ -348,6 +349,7 @@ FIGURES = (
     Figure(PAPERS, "| {:.0f} s on three label maps", "deepsdf", _label_fits),
     Figure(PAPERS, "{:.2f} mm off on the seen half, {:.1f} mm on the other", "deepsdf", lambda r: _half(r)[:2]),
     *(Figure(*row) for row in SHAPE_FIGURES),
+    *(Figure(*row) for row in OTHER_TOOLS_FIGURES),
 )
 
 
