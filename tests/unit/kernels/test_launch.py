@@ -16,7 +16,7 @@ import sdm.engine.acceleration  # noqa: F401 (starts Warp quietly)
 from sdm.kernels import launch
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _count(begin: int, hits: wp.array(dtype=wp.int32)):
     i = begin + wp.tid()
     hits[i] = hits[i] + 1

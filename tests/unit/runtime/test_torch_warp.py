@@ -18,13 +18,13 @@ from sdm.kernels.launch import launch, set_array
 from sdm.runtime.torch_warp import array_at, as_warp, workspace
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _scale(begin: int, by: int, offset: float, source: wp.array(dtype=wp.float32), target: wp.array(dtype=wp.float32)):
     i = begin + wp.tid()
     target[i] = float(by) * source[i] + offset
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _fill(begin: int, number: int, target: wp.array(dtype=wp.int32)):
     target[begin + wp.tid()] = number
 

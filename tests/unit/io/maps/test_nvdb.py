@@ -21,7 +21,7 @@ TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
 GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), (17, 7, 10), TURN)
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def to_world(volume: wp.uint64, index: wp.array(dtype=wp.vec3), world: wp.array(dtype=wp.vec3)):
     i = wp.tid()
     world[i] = wp.volume_index_to_world(volume, index[i])
@@ -86,7 +86,7 @@ def test_around_the_map_it_is_outside(saved):
     assert outside.numpy().tolist() == [float(field.values.max())] * 2
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def look(volume: wp.uint64, values: wp.array(dtype=wp.float32)):
     i = wp.tid()
     values[i] = wp.volume_lookup_f(volume, 17 + 50 * i, 0, 0)

@@ -9,7 +9,7 @@ import warp as wp
 from sdm.kernels.edt.envelopes import first_won_by_costs, solved
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def both_ways(
     sites: wp.array2d(dtype=wp.int32),
     heights: wp.array2d(dtype=wp.float32),

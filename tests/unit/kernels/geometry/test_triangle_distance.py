@@ -12,7 +12,7 @@ from sdm.kernels.geometry.triangle_distance import closest_point, nearest_part, 
 from tests.helpers import oracle
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _measure(
     points: wp.array(dtype=wp.vec3),
     corner: wp.array(dtype=wp.vec3),

@@ -11,7 +11,7 @@ from sdm.kernels.winding.near_caps import FULL, NEAR_LIST, near_sum
 from tests.helpers.winding.cap_balls import exact_shares
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _sums(
     corners: wp.array(dtype=wp.vec3),
     count: int,

@@ -11,7 +11,7 @@ from sdm.kernels.winding.eight_voxels import Eight, Sixteen, near_angles
 from sdm.kernels.winding.near_caps import NEAR_LIST, near_angle
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _both(
     caps: Caps,
     near: int,
