@@ -50,7 +50,7 @@ def transform(neighbours: int, mask: np.ndarray, spacing: tuple[float, ...], **o
         return euclidean_distance_transform(torch.tensor(mask), spacing, **options).numpy()
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(mask=masks(), spacing=SPACINGS, neighbours=NEIGHBOURS)
 def test_to_centres(mask, spacing, neighbours):
     values = transform(neighbours, mask, spacing)
@@ -67,7 +67,7 @@ def pieces(request, monkeypatch):
 
 
 @pytest.mark.usefixtures("pieces")
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=24, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32 - 1),
     spacing=SPACINGS,
@@ -99,7 +99,7 @@ def to_boxes_by_pieces(mask: np.ndarray, spacing: tuple[float, ...]) -> np.ndarr
     return np.sqrt(squared)
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(mask=masks(6), spacing=SPACINGS, neighbours=NEIGHBOURS)
 def test_to_faces(mask, spacing, neighbours):
     values = transform(neighbours, mask, spacing, signed=True, surface="faces")

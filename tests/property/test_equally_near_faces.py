@@ -83,7 +83,7 @@ def test_the_smallest_number_decides():
 
 
 @pytest.mark.usefixtures("points_method")
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=st.one_of(strategies.soups(), strategies.closed(), strategies.shells()), seed=strategies.seeds)
 def test_against_the_brute_force(mesh, seed):
     rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def test_against_the_brute_force(mesh, seed):
     assert hit.faces.tolist() == named(vertices, mesh.faces, points, hit.points.numpy()).tolist()
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(mesh=st.one_of(strategies.soups(), strategies.closed(), strategies.shells()), seed=strategies.seeds)
 def test_both_ways_name_the_same_faces(mesh, seed):
     """Also where points far apart are equally near."""

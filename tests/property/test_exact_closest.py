@@ -13,7 +13,7 @@ from tests.helpers.exactness import ROUNDING, scale_of
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed())
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(strategies.anywhere(meshes), strategies.seeds)
 def test_closest_points(mesh, seed):
     points = strategies.points_about(mesh, seed, 32)

@@ -13,7 +13,7 @@ from tests.helpers.exactness import assert_exact
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 
 
-@settings(max_examples=250)
+@settings(max_examples=120)
 @given(strategies.anywhere(meshes), strategies.seeds)
 def test_points_equal_the_brute_force(mesh, seed):
     points = strategies.points_about(mesh, seed)

@@ -16,7 +16,7 @@ meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed()
 per_function = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(strategies.anywhere(meshes), strategies.seeds)
 def test_closed_and_open(mesh, seed):
     points = strategies.points_about(mesh, seed)
@@ -27,7 +27,7 @@ def test_closed_and_open(mesh, seed):
         assert (winding == winding.round()).all()
 
 
-@settings(per_function, max_examples=100)
+@settings(per_function, max_examples=50)
 @given(mesh=strategies.anywhere(st.one_of(strategies.soups(40), strategies.slivers(40))), seed=strategies.seeds)
 def test_soup(monkeypatch: pytest.MonkeyPatch, mesh, seed):
     """The tree of dipoles: within 4e-4 near 0.25, 0.5 and 0.75, elsewhere on the right side of them."""

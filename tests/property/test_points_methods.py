@@ -34,7 +34,7 @@ def clusters(rng: np.random.Generator, vertices: np.ndarray, faces: np.ndarray, 
 
 
 @pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds)
 def test_against_the_brute_force(method, mesh, seed):
     points = clusters(np.random.default_rng(seed), mesh.vertices, mesh.faces, 12)

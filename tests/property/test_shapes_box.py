@@ -21,7 +21,7 @@ def enclosed_volume(vertices: torch.Tensor, faces: torch.Tensor) -> float:
     return float((a * b.cross(c, dim=1)).sum() / 6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(st.lists(SHARE, min_size=4, max_size=4))
 @example([0, 1, 1, 0])
 @example([1, 1, 0, 0])
@@ -37,7 +37,7 @@ def test_cochleae_do_not_meet_themselves(share):
     assert float(vertices[:, :2].norm(dim=1).min()) > 0.01
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(st.lists(SHARE, min_size=10, max_size=10))
 def test_solids_have_an_inside(share):
     theta = SOLIDS.from_unit(torch.tensor([share]))

@@ -148,7 +148,7 @@ def thin_meshes(draw: st.DrawFn) -> strategies.Arrays:
 
 
 @pytest.mark.usefixtures("points_method")
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=thin_meshes(), seed=strategies.seeds)
 def test_any_thin_mesh(mesh: strategies.Arrays, seed: int):
     points = points_in_line(mesh.vertices[mesh.faces], np.random.default_rng(seed), 40)

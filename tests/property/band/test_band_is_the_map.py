@@ -36,7 +36,7 @@ efforts = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(
     mesh=meshes,
     shape=st.tuples(*[st.integers(1, 40)] * 3),

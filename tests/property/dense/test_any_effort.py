@@ -33,7 +33,7 @@ efforts = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(
     mesh=meshes,
     shape=st.tuples(*[st.integers(1, 34)] * 3),

@@ -89,7 +89,7 @@ def test_every_kind_of_mesh_on_a_gpu(name):
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 @given(mesh=meshes, seed=strategies.seeds, method=st.sampled_from(METHODS))
 def test_random_meshes(mesh, seed, method):
     rng = np.random.default_rng(seed)

@@ -26,7 +26,7 @@ def grids(draw: st.DrawFn, mesh: strategies.Arrays) -> sdm.Grid:
     return sdm.Grid(low - spacing * (before + off), spacing, shape)
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(strategies.anywhere(meshes), st.data())
 def test_maps_equal_the_brute_force(mesh, data):
     grid = data.draw(grids(mesh))
@@ -35,7 +35,7 @@ def test_maps_equal_the_brute_force(mesh, data):
     assert_exact(mesh.vertices, mesh.faces, grid.points().reshape(-1, 3).numpy(), field.values)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(strategies.shells(), st.integers(1, 4), st.sampled_from([0.5, 1.0, 0.25]))
 def test_grids_on_the_lattice_of_the_cubes(mesh, per_unit, off):
     """Every ray along a row of voxels runs through corners, edges and faces' planes."""

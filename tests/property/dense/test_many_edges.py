@@ -28,7 +28,7 @@ def many(monkeypatch):
     monkeypatch.setattr(sdm.engine.structure.sizes, "FEWEST_FACES_AN_EDGE", 0)
 
 
-@settings(shared, max_examples=60)
+@settings(shared, max_examples=30)
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds)
 def test_points(many, mesh, seed):
     at = strategies.points_about(mesh, seed)
@@ -37,7 +37,7 @@ def test_points(many, mesh, seed):
     assert_exact(mesh.vertices, mesh.faces, at, index.signed_distance(at))
 
 
-@settings(shared, max_examples=60)
+@settings(shared, max_examples=30)
 @given(mesh=meshes, shape=st.tuples(*[st.integers(1, 20)] * 3), turn=st.sampled_from([0.0, 0.3]))
 def test_maps(many, mesh, shape, turn):
     spacing = [0.25, 0.125, 0.25]

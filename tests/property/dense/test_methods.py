@@ -25,7 +25,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(mesh=strategies.anywhere(meshes), shape=st.tuples(*[st.integers(1, 19)] * 3), seed=strategies.seeds)
 def test_against_the_brute_force(way, mesh, shape, seed):
     rng = np.random.default_rng(seed)

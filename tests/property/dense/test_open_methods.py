@@ -86,7 +86,7 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
     return found
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @example(torn(0.01, 0), (1, 6, 8), False, 5, 6)  # By edges on a CPU, where a GPU's way has boxes of 2^3.
 @example(torn(0.01, 0), (2, 1, 7), False, 5, 94)
 @given(
@@ -114,7 +114,7 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3]),
     seed=strategies.seeds,
@@ -136,7 +136,7 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(mesh=dirt, shape=st.tuples(*[st.integers(1, 20)] * 3), seed=strategies.seeds)
 def test_signs_are_those_of_the_sum_over_all_faces(mesh, shape, seed):
     """In float64, where that is further than 1e-3 from what decides."""

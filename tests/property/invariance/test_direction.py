@@ -35,7 +35,7 @@ def _check(mesh: strategies.Arrays, grid: sdm.Grid, roundings: float) -> None:
     assert torch.equal(slabs, field.values)
 
 
-@settings(max_examples=48)
+@settings(max_examples=24)
 @given(meshes, st.sampled_from(axes))
 def test_axes_in_any_order(mesh, direction):
     """As exact as without a direction: nothing but the order and signs of coordinates changes."""
@@ -43,7 +43,7 @@ def test_axes_in_any_order(mesh, direction):
     _check(mesh, sdm.Grid(origin, [0.75, 0.5, 1.0], [9, 10, 7], direction), 4)
 
 
-@settings(max_examples=48)
+@settings(max_examples=24)
 @given(meshes, strategies.seeds)
 def test_any_rotation_or_reflection(mesh, seed):
     rng = np.random.default_rng(seed)

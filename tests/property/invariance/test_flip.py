@@ -15,7 +15,7 @@ from tests.helpers.exactness import ROUNDING, scale_of
 GRID = sdm.Grid([-3.1] * 3, [0.55] * 3, [12] * 3)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(st.one_of(strategies.closed(), strategies.shells(), strategies.soups()), strategies.seeds)
 def test_winding_numbers_change_their_sign(mesh, seed):
     points = strategies.points_about(mesh, seed)

@@ -13,7 +13,7 @@ from tests.helpers.exactness import ROUNDING, scale_of
 closed = st.one_of(strategies.closed(), strategies.shells())
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(strategies.anywhere(closed), strategies.seeds)
 def test_signed_between_points(mesh, seed):
     points = strategies.points_about(mesh, seed)

@@ -22,7 +22,7 @@ def _grid(shape: tuple[int, int, int], spacing: float) -> sdm.Grid:
     return sdm.Grid([-0.5 * spacing * (n - 1) for n in shape], [spacing, 0.75 * spacing, 1.25 * spacing], shape)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(meshes, shapes, st.sampled_from([0.25, 0.37, 1.0]))
 def test_map_and_points(mesh, shape, spacing):
     grid = _grid(shape, spacing)
@@ -39,7 +39,7 @@ def test_map_and_points(mesh, shape, spacing):
     assert torch.equal((dense < 0)[sure], (scattered < 0)[sure])
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(meshes, shapes, st.integers(1, 70))
 def test_slabs_and_map(mesh, shape, layers):
     grid = _grid(shape, 0.3)
@@ -68,7 +68,7 @@ def test_slabs_of_larger_meshes(name):
         assert torch.equal(torch.cat(parts), whole)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(st.one_of(meshes), st.integers(1, 5), strategies.seeds)
 def test_batch_and_single(mesh, count, seed):
     rng = np.random.default_rng(seed)

@@ -29,7 +29,7 @@ def _sure(mesh: strategies.Arrays, points: np.ndarray, values: torch.Tensor, mar
     return away & (np.abs(winding - 0.5) > margin)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(meshes, strategies.seeds, st.sampled_from([-90, -24, -1, 1, 40, 90]))
 def test_powers_of_two_change_no_bit(mesh, seed, power):
     points = strategies.points_about(mesh, seed)
@@ -55,7 +55,7 @@ def test_powers_of_two_change_no_bit_of_a_map(mesh, power):
     assert torch.equal((plain * factor)[whole], scaled.values[whole])
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(meshes, strategies.seeds, turns)
 def test_axes_in_another_order_and_mirrored(mesh, seed, turn):
     order, signs = turn
@@ -70,7 +70,7 @@ def test_axes_in_another_order_and_mirrored(mesh, seed, turn):
     assert ((plain < 0) == (turned < 0)).numpy()[sure].all()
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(meshes, strategies.seeds, st.floats(0.01, 100))
 def test_any_turn_and_size(mesh, seed, size):
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ closed = st.one_of(strategies.closed(), strategies.shells())
 meshes = st.one_of(strategies.soups(), closed)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(meshes, strategies.seeds, st.sampled_from([1.0, 1e2, 1e4]), st.integers(0, 7))
 def test_ten_thousand_boxes_away(mesh, seed, boxes, corner):
     points = strategies.points_about(mesh, seed)
@@ -31,7 +31,7 @@ def test_ten_thousand_boxes_away(mesh, seed, boxes, corner):
     assert (np.abs(np.abs(here) - far.abs().double().numpy()) <= limit).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(closed, st.sampled_from([2.0**10, 2.0**14]))
 def test_a_move_that_rounds_nothing_changes_no_sign(mesh, shift):
     """On a lattice of 1/16 everything is exact, so the map must be the same one."""

@@ -28,7 +28,7 @@ def _moved(mesh: strategies.Arrays, x: float) -> strategies.Arrays:
     return strategies.Arrays(mesh.vertices + np.array([x, 0, 0], np.float32), mesh.faces)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(strategies.closed(), st.sampled_from([cube(0.5), sphere(5)]))
 def test_apart(left, right):
     left, right = _moved(left, -4), _moved(strategies.Arrays(*right), 4)

@@ -15,7 +15,7 @@ meshes = st.one_of(strategies.soups(), strategies.closed(), strategies.shells())
 GRID = sdm.Grid([-4] * 3, [0.9] * 3, [9] * 3)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(meshes, strategies.seeds)
 def test_updated_equals_fresh(mesh, seed):
     rng = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ def tetrahedra(seed: int, count: int, flat: float) -> tuple[np.ndarray, np.ndarr
     return corners.reshape(-1, 3), (faces + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
 
 
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(
     st.integers(0, 10**6),
     st.integers(1, 6),

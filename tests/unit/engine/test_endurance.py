@@ -54,8 +54,8 @@ def _grown(few: int, many: int) -> int:
     return _resident() - before
 
 
-def test_180_meshes():
-    assert _grown(60, 180) < 4 << 20
+def test_110_meshes():
+    assert _grown(40, 110) < 4 << 20
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def test_indices_out_of_range(bad):
         boundary_edges(torch.tensor(vertices), torch.tensor(faces))
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(strategies.soups())
 def test_every_boundary_closes(mesh):
     """As many edges leave a place as come to it, and adding the boundary's other side closes the mesh."""

@@ -27,7 +27,7 @@ def _left_over(edges: np.ndarray, caps: np.ndarray) -> dict[tuple[int, int], int
     return {edge: number for edge, number in count.items() if number}
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(strategies.soups())
 def test_a_capped_soup_is_closed(mesh):
     edges = _edges(mesh.vertices, mesh.faces)

@@ -41,7 +41,7 @@ def check(vertices: np.ndarray, faces: np.ndarray, device: str = "cpu") -> None:
     assert expected is False
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.one_of(strategies.soups(30), strategies.closed(), strategies.shells(8)))
 def test_of_any_mesh(mesh):
     check(mesh.vertices, mesh.faces)

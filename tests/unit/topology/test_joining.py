@@ -118,7 +118,7 @@ def _loose(mesh: strategies.Arrays, share: float, seed: int) -> tuple[np.ndarray
     return moved.astype(np.float32), number[faces].astype(np.int32)
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(
     st.one_of(strategies.soups(), strategies.closed()),
     st.sampled_from([0.0, 0.3, 1.0]),

@@ -34,7 +34,7 @@ def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
             assert found[f][k] in others if others else found[f][k] == -1
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(strategies.soups())
 def test_of_any_faces(mesh):
     _check(mesh.vertices, mesh.faces)

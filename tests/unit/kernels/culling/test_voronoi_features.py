@@ -32,7 +32,7 @@ def ends(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return out.numpy()
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(strategies.soups())
 def test_a_further_edge_is_one_of_the_mesh(mesh):
     edges = {frozenset((f[k], f[(k + 1) % 3])) for f in mesh.faces.tolist() for k in range(3)}
