@@ -58,7 +58,7 @@ def no_notice_of_compiling() -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def kernels_compiled_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The processes of a whole run share out what an empty cache lacks."""
-    from tests.helpers import first_compile
+    from tests.helpers.compiling import first_compile
 
     if "PYTEST_XDIST_WORKER" in os.environ and len(request.session.items) >= first_compile.MANY_TESTS:
         # Of a run's folder each process has a part.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import warp as wp
 
-from tests.helpers import first_compile
+from tests.helpers.compiling import first_compile
 
 
 class Module:
