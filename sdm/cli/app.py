@@ -120,6 +120,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read the output has gone; the interpreter must not fail again as it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except SystemExit as stop:
+        # rich leaves so where its reader has gone, and has closed stdout.
+        if isinstance(stop.__context__, BrokenPipeError):
+            return BROKEN_PIPE
+        raise
     except Exception as error:
         reason = sentence_of(error)
         if reason is None:

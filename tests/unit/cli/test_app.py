@@ -218,10 +218,11 @@ def test_an_interrupt_before_the_program_is_read():
         assert (done.returncode, done.stderr) == (130, "sdm: interrupted\n")
 
 
-def test_a_reader_that_leaves_early():
+@pytest.mark.parametrize("talk", ["print", "__import__('rich.console').console.Console().print"])
+def test_a_reader_that_leaves_early(talk):
     """As with `sdm ... | head`: no traceback, and not success."""
     code = "import sys; from sdm.cli import app; app._parse = lambda words: talk; sys.exit(app.main())"
-    code = f"talk = lambda: print('x' * 10**6); {code}"
+    code = f"talk = lambda: {talk}(*['x' * 60] * 20000); {code}"
     command = f'"{sys.executable}" -W ignore -c "{code}" | true; exit ${{PIPESTATUS[0]}}'
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 141
