@@ -8,12 +8,15 @@ import sys
 
 import sdm
 
-# The libraries below take three seconds to import, so each package is asked for by a copy of a process that has them.
+# Libraries and kernels, which know of no package, take seconds to import: each package is asked for by a copy of a
+# process that has them.
 PROGRAM = """
 import os, sys
 import sdm
 assert "torch" not in sys.modules
 import scipy.interpolate, scipy.optimize, torch, warp
+import sdm.kernels.band.query, sdm.kernels.closest.closest_voxels, sdm.kernels.points.query
+import sdm.kernels.winding.cap_tree
 missing = []
 for name in sdm._PACKAGES:
     child = os.fork()

@@ -12,15 +12,15 @@ from sdm.bench.fuzz.runs import PARTS, fuzz, run_trial
 from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
 from sdm.errors import FormatError
 
-# A quarter of a minute together on an idle core.
+# Some seconds together on an idle core.
 TRIALS = {
-    "numerics": 20,
-    "near_degenerate": 25,
-    "mesh_files": 500,
-    "map_files": 300,
-    "bands": 60,
-    "datasets": 24,
-    "models": 150,
+    "numerics": 12,
+    "near_degenerate": 12,
+    "mesh_files": 250,
+    "map_files": 150,
+    "bands": 30,
+    "datasets": 16,
+    "models": 80,
 }
 LONG = 60.0
 

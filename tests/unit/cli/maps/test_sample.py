@@ -268,9 +268,9 @@ def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
     many = tmp_path / "many"
     many.mkdir()
     source = shapes / "02691156/bb/models/model_normalized.obj"
-    for number in range(60):
+    for number in range(40):
         (many / f"{number:02}.obj").write_bytes(source.read_bytes())
-    words = ["sample", str(many), "--device", "cpu", "--count", "3000", "-o"]
+    words = ["sample", str(many), "--device", "cpu", "--count", "2000", "-o"]
     killed_after([*words, str(tmp_path / "d")], tmp_path / "d", "SdfSamples/*/*/*.npz")
     for path in (tmp_path / "d").glob("SdfSamples/*/*/[!.]*.npz"):
         assert len(np.load(path)["pos"]) > 0

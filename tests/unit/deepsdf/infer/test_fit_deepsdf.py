@@ -114,7 +114,7 @@ def test_the_command_takes_points(
     monkeypatch.setattr(DeepSDF, "load", classmethod(lambda cls, name, device=None: model))
     monkeypatch.chdir(tmp_path)
     truth = Truth(model)
-    np.save("points.npy", truth.mesh.vertices[::5].numpy())
+    np.save("points.npy", truth.mesh.vertices[::10].numpy())
     words = ["fit", "--points", "points.npy", "-o", "fit.json", "--family", "m.pt", "--device", "cpu"]
     assert main([*words, "--mesh", "fit.ply"]) == 0
     said = capsys.readouterr().out

@@ -37,7 +37,7 @@ def test_the_other_half_follows(cochlea: sdm.TriangleMesh) -> None:
     points, normals = surface_points(cochlea, 2_000, seed=1)
     seen = half_of(points, torch.tensor([0.0, 1.0, 0.0]))
     model = DeepSDF.load("cochlea", "cpu")
-    found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=100)
+    found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=60)
     mesh = decode_mesh(model, found.code, sphere=found.sphere, resolution=40)
     away = sdm.signed_distance(mesh, points).abs()
     assert away[seen].mean() < 0.1
