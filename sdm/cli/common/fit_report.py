@@ -1,4 +1,4 @@
-"""Files that a fit to an image leaves, and its estimates on the terminal."""
+"""Files that a fit leaves, and its estimates on the terminal."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
     from sdm.fit import FitResult
     from sdm.fit.model.backend import Backend
+
+NOT_CONVERGED = "the fit did not converge"
 
 
 @dataclass(frozen=True)
@@ -144,3 +146,15 @@ def save_free_form(
     found = free_form(scan.values, scan.grid, start(), blur=own, device=device)
     save_mesh(found.mesh, path)
     print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")
+
+
+def print_points(record: dict[str, Any], state: Any, count: int, distance: float, unit: str) -> None:
+    """Print estimates of points with their intervals."""
+    for key, value in record["theta"].items():
+        low, high = value["interval"]
+        print(f"{key:<6} {value['estimate']:.4f}, 90 % within {low:.4f} to {high:.4f}")
+    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {unit}".rstrip())
+    print(
+        f"{count:,} points, {distance:.4g} {unit}".rstrip() + " from the shape on average; intervals take "
+        "them to be independent"
+    )

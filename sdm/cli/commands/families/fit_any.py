@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from sdm.cli.common.fit_report import FitFiles
     from sdm.fit.model.backend import Backend
 
-NOT_CONVERGED = "the fit did not converge"
-
 
 def fit_any_family(
     image: Path,
@@ -118,6 +116,7 @@ def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
     """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
+    from sdm.cli.common.fit_report import NOT_CONVERGED, print_points
     from sdm.errors import SDMError
     from sdm.fit.solve.fit_points import fit_points
     from sdm.io.files.json_file import write_json
@@ -142,18 +141,6 @@ def fit_family_points(
     if mesh is not None:
         save_mesh(surface_at(backend, state), mesh)
     print_points(record, state, len(found), fit.mean_distance, fitted.unit)
-
-
-def print_points(record: dict[str, Any], state: Any, count: int, distance: float, unit: str) -> None:
-    """Print estimates of points with their intervals."""
-    for key, value in record["theta"].items():
-        low, high = value["interval"]
-        print(f"{key:<6} {value['estimate']:.4f}, 90 % within {low:.4f} to {high:.4f}")
-    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {unit}".rstrip())
-    print(
-        f"{count:,} points, {distance:.4g} {unit}".rstrip() + " from the shape on average; intervals take "
-        "them to be independent"
-    )
 
 
 def points_of(path: Path) -> Any:

@@ -55,7 +55,7 @@ def fit_network_points(
     found: Any, points: Path, name: str, out: Path, mesh: Path | None, turn: float, device: str
 ) -> None:
     """Fit a DeepSDF to points (N,3) of a file, and write report and surface."""
-    from sdm.cli.commands.families.fit_any import NOT_CONVERGED, print_points
+    from sdm.cli.common.fit_report import NOT_CONVERGED, print_points
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
     from sdm.deepsdf.infer.fit_code import surface_of_code
