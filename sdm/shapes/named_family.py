@@ -125,8 +125,8 @@ def _of_code(path: Path, name: str, options: dict[str, Any]) -> Family:
     return family
 
 
-def check_promises(family: Family, said: str) -> None:
-    """Refuse a family whose parts do not fit together, by two samples.
+def check_promises(family: Family, said: str, device: torch.device | str = "cpu") -> None:
+    """Refuse a family whose parts do not fit together, by two samples on a device.
 
     Raises:
         MeshError: In one sentence that begins with `said`.
@@ -142,7 +142,7 @@ def check_promises(family: Family, said: str) -> None:
         raise MeshError(f"{said} has triangles {tuple(faces.shape)} {faces.dtype}; (F, 3) torch.int32 is needed")
     try:
         with torch.no_grad():
-            points = family.vertices(family.sample(2, device="cpu"))
+            points = family.vertices(family.sample(2, device=device))
     except Exception as error:
         raise MeshError(f"{said} fails in vertices(theta), (2, {len(parameters)}): {_said(error)}") from error
     if not isinstance(points, torch.Tensor) or points.ndim != 3 or points.shape[0] != 2 or points.shape[2] != 3:

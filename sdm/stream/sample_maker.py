@@ -82,8 +82,6 @@ class Maker:
         self.signs = SignMethod(sign, hole_size)
         if not isinstance(family, Family):
             raise MeshError(f"{family!r:.80} is no family of shapes: sdm.shapes.load_family makes one of a name")
-        if not type(family).__module__.startswith("sdm."):
-            check_promises(family, type(family).__name__)
         if not isinstance(seed, SupportsIndex):
             raise SDMError(f"the seed is {seed!r}; give a whole number")
         if dtype not in DTYPES:
@@ -98,6 +96,8 @@ class Maker:
         self.family, self.grid, self.seed = family, grid, operator.index(seed)
         self.sampler = as_sampler(sampler)
         self.device = choose_device(device)
+        if not type(family).__module__.startswith("sdm."):
+            check_promises(family, type(family).__name__, self.device)
         self.dtype, self.truncate = dtype, None if truncate is None else float(truncate)
         require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
         self.sampler.size(family)
