@@ -1,7 +1,4 @@
-"""Shards on the devices of one machine: in this process, and in one more for each device but the first.
-
-Processes take some eight seconds to start, in which this one has done many shards.
-"""
+"""Shards on the devices of one machine: in this process, or in one process for each device."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -41,87 +37,52 @@ def run_here(
     # A forked process cannot use CUDA.
     context = multiprocessing.get_context("spawn")
     before = set(threading.enumerate())
-    todo, said, jobs = context.Queue(), context.Queue(), context.Queue()
+    todo: Any = context.Queue()
+    said: Any = context.Queue()
+    jobs: Any = context.Queue()
     # This process ends also if one that died has left something in the queues.
     for waiting in (todo, jobs):
         waiting.cancel_join_thread()
     # Not with the start of a process, which waits until the new one has imported everything if it is handed more than a
     # pipe holds, as the names of a thousand files are: then one starts after the other.
     packed = pickle.dumps(job)
-    others = devices[1:]
-    for _ in others:
+    for _ in devices:
         jobs.put(packed)
-    for number in [*shards, *(None for _ in devices)]:
+    for number in shards:
         todo.put(number)
-    workers = [context.Process(target=_serve, args=(device, jobs, todo, said), daemon=True) for device in others]
-    with _no_interrupt():
-        for worker in workers:
-            worker.start()
+    for _ in devices:
+        todo.put(None)
+    workers = [context.Process(target=_serve, args=(device, jobs, todo, said), daemon=True) for device in devices]
+    for worker in workers:
+        worker.start()
     try:
-        _share(job, len(shards), devices[0], done, times, todo, lambda patience: _hear(said, workers, others, patience))
+        left = len(shards)
+        while left:
+            done(_hear(said, workers, devices))
+            left -= 1
+        for worker in workers:
+            worker.join()
     finally:
-        # Those that are still starting as well, when all is done.
         for worker in workers:
             worker.terminate()
             worker.join()
         _let_go([todo, jobs], before)
 
 
-@contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Processes that the block starts hear of no interrupt, from the first moment on: it is this process's to take."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _share(
-    job: SharedJob,
-    left: int,
-    device: str,
-    done: Callable[[Any], None],
-    times: StageTimes | None,
-    todo: Any,
-    hear: Callable[[float], Any],
-) -> None:
-    """Do shards in this process as long as there are some, and wait for the others."""
-
-    def count(told: Any) -> None:
-        nonlocal left
-        left -= 1
-        done(told)
-
-    def own() -> Iterator[int]:
-        while (number := todo.get()) is not None:
-            # What the others have said meanwhile.
-            while (told := hear(0.0)) is not None:
-                count(told)
-            yield number
-
-    job.run(own(), job.maker(device), count, times=times)
-    while left:
-        told = hear(PATIENCE)
-        if told is not None:
-            count(told)
-
-
-def _hear(said: Any, workers: list[Any], devices: list[str], patience: float) -> Any:
-    """Report of a shard by one of the processes; None if there is none for so long."""
-    for worker, device in zip(workers, devices, strict=True):
-        if worker.exitcode not in (None, 0):
-            raise SDMError(f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there")
-    try:
-        kind, what = said.get(patience > 0, patience)
-    except queue.Empty:
-        return None
-    if kind == "error":
-        raise SDMError(what)
-    return what
+def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
+    while True:
+        for worker, device in zip(workers, devices, strict=True):
+            if worker.exitcode not in (None, 0):
+                raise SDMError(
+                    f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there"
+                )
+        try:
+            kind, what = said.get(timeout=PATIENCE)
+        except queue.Empty:
+            continue
+        if kind == "error":
+            raise SDMError(what)
+        return what
 
 
 def _let_go(queues: list[Any], before: set[threading.Thread]) -> None:

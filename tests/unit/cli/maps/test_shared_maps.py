@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -83,7 +82,6 @@ from sdm.cli import main
 from sdm.cli.maps import run
 from sdm.runtime.sharing import devices
 run.processes_for, devices.devices_for = lambda devices, *_, **__: devices, lambda _: ["cpu", "cpu"]
-run.shard_size = lambda *_: 1
 sys.exit(main())
 """
 
@@ -93,9 +91,6 @@ sys.exit(main())
 def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder, tmp_path, capsys):
     """A process that is lost is named; those of a command that is killed end, and do not go on writing."""
     out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "64", "-o"]
-    for number in range(COUNT, 3 * COUNT):
-        # So many that each of the three comes before the end.
-        shutil.copy(folder / "00.ply", folder / f"{number}.ply")
     for victim in ("interrupt", "child", "parent"):
         before = len(list(out.glob("[0-9]*.npz")))
         command = [sys.executable, "-W", "ignore", "-c", SEVERAL, *words, str(out), "--resume"]
@@ -103,7 +98,7 @@ def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder,
         child = subprocess.Popen(command, start_new_session=True, **pipes)
         _wait_for(lambda before=before: len(list(out.glob("[0-9]*.npz"))) > before)
         processes = _workers(child.pid)
-        assert len(processes) == 1
+        assert len(processes) == 2
         if victim == "interrupt":
             # As a terminal does it, to all of them.
             os.killpg(child.pid, signal.SIGINT)
@@ -113,7 +108,7 @@ def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder,
         if victim == "child":
             assert "the process on cpu died (exit code -9); --resume goes on from there" in said
         assert "Traceback" not in said
-        assert child.returncode == {"interrupt": 130, "child": 2, "parent": -9}[victim], said
+        assert child.returncode == {"interrupt": 130, "child": 2, "parent": -9}[victim]
         _wait_for(lambda processes=processes: not any(map(_runs, processes)))
     assert main([*words, str(out), "--resume"]) == 2
     assert main([*words, str(tmp_path / "whole")]) == 2
@@ -210,7 +205,7 @@ def test_who_shares_the_work(monkeypatch):
     monkeypatch.setattr(share_out, "cores", lambda: 32)
     two = ["cuda:0", "cuda:1"]
     # One has ended when others would have started.
-    assert processes_of(1200, map_settings(128), two) == ["cuda:0"]
+    assert processes_of(2000, map_settings(128), two) == ["cuda:0"]
     assert processes_of(5000, map_settings(128), two) == two * 4
     # Large maps are few: a process of each device makes them.
     assert processes_of(1000, map_settings(512), two) == two
