@@ -156,7 +156,7 @@ def first_map(mesh: Arrays, resolution: int) -> Counts:
         for again in range(2):
             # The first time kernels are compiled, and structs of the workspace made.
             copies = vertices.clone(), faces.clone()
-            guesses._last_open.clear()
+            guesses.last_open.clear()
             with counting() as counts:
                 structure, _ = first_build.build_first(*copies)
                 ops.structure_slab(structure, grid, 0, grid.shape[0])

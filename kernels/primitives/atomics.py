@@ -135,3 +135,20 @@ def shrink(values: wp.array(dtype=wp.float32), index: int, size: float):
 def fetch_add_once(counts: wp.array(dtype=wp.int32), index: int, value: int, lane: int) -> int:
     """`fetch_add` by one lane for the whole group; every lane gets the result."""
     ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    __threadfence();
+    int before = atomicAdd(counts.data + index, 1);
+    __threadfence();
+    return before;
+#else
+    return __atomic_fetch_add(counts.data + index, 1, __ATOMIC_ACQ_REL);
+#endif
+"""
+)
+def arrive(counts: wp.array(dtype=wp.int32), index: int) -> int:
+    """Add one to a count; whoever finds that all others have been there sees what they had written before."""
+    ...

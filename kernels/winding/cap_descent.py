@@ -29,7 +29,7 @@ from sdm.kernels.primitives.lanes import (
 from sdm.kernels.primitives.shared_stacks import FIELD_PLACES, LARGE_STACK, LARGE_STACK_ON_CPU
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
-from sdm.kernels.winding.cap_taylor import add_cap, bound_of_cap
+from sdm.kernels.winding.cap_taylor import add_cap, bound_of_cap, may_be_expanded
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_fourth, load_rest
 from sdm.kernels.winding.near_caps import (
     NEAR_EACH,
@@ -261,7 +261,9 @@ def see_caps(
                         listed = bool(True)
                     elif node < leaves:
                         opened = bool(True)
-                    elif radius > 0.0 and (places == 0 or not expand):
+                    elif radius > 0.0 and (
+                        places == 0 or not expand or not may_be_expanded(r0[3], distance, radius, tolerance)
+                    ):
                         # Counted for all lanes at once: they have to agree on how many are near.
                         most_left = float(wp.inf)
                         if expand:

@@ -5,9 +5,9 @@ clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_fi
 than a quarter all over a box, its whole numbers will do; where the field's error leaves no voxel in doubt, the field's
 values are taken; else its octants are looked at, down to 4^3 voxels: each octant from what the tree's descent for the
 whole box has found (`sdm.kernels.winding.cap_descent`). What the last leave in doubt is looked at again, with smaller
-tolerances (`looks.look_again`). What is in doubt even so gets the sum over all caps in float32, and what is still, that
-over all boundary edges in float64 (`rims.single_voxels`, and where boxes are listed `rims.doubtful_voxels`), as
-`boundary_term` has it: so every voxel is on the side where that is.
+tolerances (`looks.look_again`). What is in doubt even so gets the sum over all caps in float32 (`rims.single_voxels`),
+and what is still, that over all boundary edges in float64 (`rims.exact_voxels`; where boxes are listed
+`rims.doubtful_voxels` does both), as `boundary_term` has it: so every voxel is on the side where that is.
 
 That is the way of a GPU. A CPU has one of its own from boxes of 4^3 on (`eights.boxes_by_caps`).
 """
@@ -36,11 +36,17 @@ from sdm.kernels.winding.looks.count_places import (
     LENGTH,
     LOOKED,
     NEXT,
+    NEXT_EXACT,
+    NEXT_RECORD,
     NEXT_UNSURE,
+    RECORDED,
+    RECORDED_NEAR,
     STRIDE,
     UNSURE,
 )
-from sdm.kernels.winding.looks.look_again import look_again
+from sdm.kernels.winding.looks.count_places import AROUND as BOXES_AROUND
+from sdm.kernels.winding.looks.look_again import LOOK_AGAIN
+from sdm.kernels.winding.looks.look_around import list_wholes, look_around
 from sdm.kernels.winding.looks.mixed_descent import ROOM
 from sdm.kernels.winding.looks.records import new_records
 from sdm.kernels.winding.looks.see_boxes import BLOCKS as SEERS
@@ -49,6 +55,7 @@ from sdm.kernels.winding.looks.settle_boxes import BLOCKS as SETTLERS
 from sdm.kernels.winding.looks.settle_boxes import settle_boxes
 from sdm.kernels.winding.near_caps import FULL
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
+from sdm.kernels.winding.rims.exact_voxels import groups_at_work, sum_exactly
 from sdm.kernels.winding.rims.single_voxels import sum_voxels
 
 # The first boxes are the smallest ones of which there are no more than this: a GPU has to be filled, and a launch costs
@@ -60,8 +67,12 @@ TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 1e-5, 5e-6, 1e-6), "cpu": (4e-3, 
 LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
 SETTLED = {"cuda": (0, 0, 8, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
 LAST = BITS.index(2)
-# What a node may add where boxes of 4^3 are looked at again, and once more; room for nodes and caps near such a box.
-AGAIN = 1e-5, 5e-7
+# A GPU's for boxes of 4^3 where faces are the caps: hundreds of nodes are near each, and few voxels are left even so.
+LAST_OF_FACES = 5e-4
+# What a node may add where boxes of 4^3 are looked at again, and once more; whether these looks begin with what the box
+# of 8^3 around has found (`looks.look_around`); room for nodes and caps near such a box.
+AGAIN = 1e-5, 1e-6
+AROUND = 1, 0
 ROOM_AGAIN = ROOM
 # Voxels that these leave in doubt are listed, as long as there is room: for one of so many of a map, and for so many.
 VOXELS_OF, LEAST_VOXELS = 128, 1 << 14
@@ -72,7 +83,7 @@ FEW = 2
 # launches rather than for sums.
 SUMMED: tuple[tuple[int, float, float], ...] = ((3, 64, math.inf), (2, 1300, math.inf), (2, 3000, 1 << 21))
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
-FEWEST_ITEMS = 3, 4
+FEWEST_ITEMS = 5, 4
 # Boxes that are recorded at a time, at most; and near caps of these, for one of so many voxels, but never less or more.
 # Boxes for which there is no room are left to what comes after.
 MOST_RECORDS, NEAR_OF, ROOM_FOR_NEAR = 1 << 18, 2, (1 << 20, 1 << 23)
@@ -103,7 +114,7 @@ def open_caps(
         lanes, workers, kind = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM), "cuda"
     seers, settlers = (gpu_workers(device, each) if device.is_cuda else workers for each in (SEERS, SETTLERS))
     # Without a memset, for which a GPU waits longer than for a kernel.
-    counts = new_zeros(empty, COUNTS)
+    counts = new_zeros(empty, COUNTS + groups_at_work(device))
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
 
     def lists() -> tuple[wp.array, wp.array]:
@@ -121,7 +132,9 @@ def open_caps(
         bits = BITS[level]
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         boxes, left = left, lists()
-        limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
+        of_faces = level == LAST and caps.are_faces != 0
+        tolerance = LAST_OF_FACES if of_faces else TOLERANCES[kind][level]
+        limits = [tolerance * FULL, LISTED[kind][level], SETTLED[kind][level]]
         inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), fewest]
         inputs += [*boxes, *left, records, counts, stacks, lanes, values]
         launch(SEE_BOXES[int(caps.are_faces != 0)], seers * lanes, inputs, device, smallest=1)
@@ -130,16 +143,30 @@ def open_caps(
         level += 1
     bits, again = BITS[level - 1], AGAIN if BITS[level - 1] > smallest else ()
     voxels = empty(values.size // VOXELS_OF + LEAST_VOXELS if again else 1, wp.int32)
+    # Where boxes of 4^3 are looked at again: those of 8^3 around them.
+    wholes = wp.vec3i(*(-(-n >> bits + 1) for n in shape))
+    some = meshes * math.prod(wholes)
     for look, tolerance in enumerate(again, 1):
         boxes, left = left, lists()
-        places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * level + LOOKED if look == 1 else -1]
-        places += [STRIDE * (level + 1) + LENGTH, UNSURE]
-        inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, cells, *places, int(look == len(again)), *boxes, *left]
-        launch(look_again, workers * lanes, [*inputs, voxels, counts, stacks, lanes, values], device, smallest=1)
+        at, after, slots = STRIDE * level, STRIDE * (level + 1), boxes[0]
+        if AROUND[look - 1]:
+            listed, slots = empty(some, wp.int32), new_zeros(empty, some)
+            inputs = [workers * lanes, cells, wholes, at + LENGTH, at + BOXES_AROUND, boxes[0], listed, slots, counts]
+            launch(list_wholes, workers * lanes, inputs, device, smallest=1)
+            inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, wholes, at + BOXES_AROUND, at + NEXT_RECORD]
+            inputs += [at + RECORDED, at + RECORDED_NEAR, listed, slots, records, counts, stacks, lanes, values]
+            launch(look_around, workers * lanes, inputs, device, smallest=1)
+        places = [at + LENGTH, at + NEXT, at + LOOKED if look == 1 else -1, after + LENGTH, UNSURE]
+        inputs = [caps, slab, tolerance * FULL, ROOM_AGAIN, cells, *places, int(look == len(again)), wholes, slots]
+        inputs += [records, *boxes, *left, voxels, counts, stacks, lanes, values]
+        launch(LOOK_AGAIN[AROUND[look - 1]], workers * lanes, inputs, device, smallest=1)
         level += 1
     if again:
         places = [UNSURE, NEXT_UNSURE, STRIDE * ALONE + LOOKED, EXACT]
-        sum_voxels(tree, boundary, caps, slab, voxels, places, counts, values)
+        exact = empty(voxels.size, wp.int32)
+        sum_voxels(tree, caps, slab, voxels, exact, places, counts, values)
+        parts = empty(2 * groups_at_work(device), wp.float64)
+        sum_exactly(tree, boundary, caps, slab, exact, EXACT, NEXT_EXACT, COUNTS, counts, values, parts)
     places = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
     inputs = [tree, boundary, caps, 0, slab, bits, cells, fewest, *left, *places, counts, lanes, values]
     launch(open_doubtful, workers * lanes, inputs, device, smallest=1)

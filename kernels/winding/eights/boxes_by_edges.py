@@ -27,9 +27,10 @@ from sdm.kernels.winding.eights.box_voxels import settle_voxels, write_voxels
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
-from sdm.kernels.winding.rims.edge_boxes import ASIDE, ROOM, TOLERANCES, WIDER, field_of
+from sdm.kernels.winding.rims.edge_boxes import TOLERANCES
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 from sdm.kernels.winding.rims.single_voxels import place_of_voxel
+from sdm.kernels.winding.rims.strip_looks import ASIDE, ROOM, WIDER, field_of
 from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})

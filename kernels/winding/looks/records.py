@@ -27,7 +27,8 @@ class Records:
 
     fields: wp.array(dtype=wp.float32)  # (N * FIELD_SIZE)
     rows: wp.array(dtype=wp.int32)  # (N * ROW)
-    near: wp.array(dtype=wp.int32)  # places of near caps, of one box after the other
+    near: wp.array(dtype=wp.int32)  # places of near caps, or nodes, of one box after the other
+    middles: wp.array(dtype=wp.float32)  # (N * 4) what fields are about, where that is not the middle of the box
 
 
 @wp.func
@@ -37,7 +38,7 @@ def write_field(records: Records, slot: int, f: Field):
     write4(records.fields, at + 1, f.squares[0], f.squares[1], f.squares[2], f.products[0])
     write4(records.fields, at + 2, f.products[1], f.products[2], f.cubes[0], f.cubes[1])
     write4(records.fields, at + 3, f.cubes[2], f.cubes[3], f.cubes[4], f.cubes[5])
-    write4(records.fields, at + 4, f.cubes[6], f.error, 0.0, 0.0)
+    write4(records.fields, at + 4, f.cubes[6], f.error, float(f.value - wp.float64(float(f.value))), 0.0)
 
 
 @wp.func
@@ -50,7 +51,7 @@ def read_field(records: Records, slot: int):
     r3 = load4(records.fields, at + 3)
     r4 = load4(records.fields, at + 4)
     f = Field()
-    f.value = wp.float64(r0[0])
+    f.value = wp.float64(r0[0]) + wp.float64(r4[2])
     f.slope = wp.vec3(r0[1], r0[2], r0[3])
     f.squares = wp.vec3(r1[0], r1[1], r1[2])
     f.products = wp.vec3(r1[3], r2[0], r2[1])
@@ -162,4 +163,5 @@ def new_records(boxes: int, near: int, empty: Callable[[int, Any], wp.array]) ->
     set_array(records, "fields", empty(boxes * FIELD_SIZE, wp.float32))
     set_array(records, "rows", empty(boxes * ROW, wp.int32))
     set_array(records, "near", empty(near, wp.int32))
+    set_array(records, "middles", empty(4 * boxes, wp.float32))
     return records

@@ -1,14 +1,12 @@
-"""Single voxels in doubt by the sum over all caps in float32, then over all boundary edges in float64.
+"""Single voxels in doubt by the sum over all caps in float32.
 
-A block of threads looks at each: a group of lanes took as long for one of them, with some ten thousand caps and edges,
-as a GPU for all that it had done before. The threads share the crossings with a ray, too: one of them alone would wait
-for node after node.
+A block of threads looks at each: a group of lanes took as long for one of them, with some ten thousand caps, as a GPU
+for all that it had done before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import warp as wp
 
@@ -25,10 +23,8 @@ from sdm.kernels.winding.settled_boxes import is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
 
-# Threads of a block on a GPU, and blocks that a multiprocessor holds at a time: where edges are more than so many, more
-# threads, as one voxel takes long then.
-THREADS, BLOCKS = (256, 512), (3, 1)
-MANY_EDGES = 20_000
+# Threads of a block on a GPU, and blocks that a multiprocessor holds at a time.
+THREADS, BLOCKS = 256, 4
 
 
 @wp.func
@@ -76,10 +72,10 @@ def place_of_voxel(tree: Tree, slab: Slab, mesh: int, v: wp.vec3i):
     return tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), v[0], v[1], v[2]))
 
 
-def _sum_of_block(threads: int) -> str:
-    return f"""
+@wp.func_native(
+    snippet=f"""
 #if defined(__CUDA_ARCH__)
-    __shared__ double sums[{threads} / 32];
+    __shared__ double sums[{THREADS} / 32];
     for (int step = 16; step > 0; step >>= 1)
         value += __shfl_xor_sync(0xffffffffu, value, step);
     // All have read what was there before.
@@ -88,22 +84,14 @@ def _sum_of_block(threads: int) -> str:
         sums[threadIdx.x / 32] = value;
     __syncthreads();
     value = 0.0;
-    for (int k = 0; k < {threads} / 32; ++k)
+    for (int k = 0; k < {THREADS} / 32; ++k)
         value += sums[k];
 #endif
     return value;
 """
-
-
-@wp.func_native(snippet=_sum_of_block(THREADS[0]))
-def sum_of_few(value: wp.float64) -> wp.float64:
+)
+def sum_of_block(value: wp.float64) -> wp.float64:
     """The sum of the values of all threads of a block, the same for each; on a CPU of the only one."""
-    ...
-
-
-@wp.func_native(snippet=_sum_of_block(THREADS[1]))
-def sum_of_many(value: wp.float64) -> wp.float64:
-    """The same of a block of more threads."""
     ...
 
 
@@ -126,70 +114,54 @@ def next_of_block(counts: wp.array(dtype=wp.int32), place: int) -> int:
     ...
 
 
-def _sum_voxels_kernel(threads: int, blocks: int, sum_of_block: Any) -> Any:
-    @wp.kernel(launch_bounds=(threads, blocks))
-    def _sum_voxels(
-        begin: int,
-        lanes: int,
-        tree: Tree,
-        boundary: Boundary,
-        caps: Caps,
-        slab: Slab,
-        voxels: wp.array(dtype=wp.int32),
-        listed: int,
-        next_item: int,
-        looked: int,
-        exact: int,
-        counts: wp.array(dtype=wp.int32),
-        values: wp.array4d(dtype=wp.float32),
-    ):
-        """Open the voxels of a list. `listed`, `next_item`, `looked` and `exact` are places of the counts: how many
-        there are, if there was room for them, which is next, how many were looked at here, and how many in float64.
-        """
-        lane = (begin + wp.tid()) % lanes
+@wp.kernel(launch_bounds=(THREADS, BLOCKS))
+def _sum_voxels(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    caps: Caps,
+    slab: Slab,
+    voxels: wp.array(dtype=wp.int32),
+    left: wp.array(dtype=wp.int32),
+    listed: int,
+    next_item: int,
+    looked: int,
+    exact: int,
+    counts: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open the voxels of a list that are left in no doubt; list the others, for which there is as much room.
+
+    `listed`, `next_item`, `looked` and `exact` are places of the counts: how many there are, if there was room for
+    them, which is next, how many were looked at here, and how many others there are.
+    """
+    lane = (begin + wp.tid()) % lanes
+    item = next_of_block(counts, next_item)
+    while item < wp.min(counts[listed], voxels.shape[0]):
+        mesh, v = unravel(voxels[item], slab.shape)
+        p = place_of_voxel(tree, slab, mesh, v)
+        whole = values[mesh, v[0], v[1], v[2]]
+        found = cap_part(caps, mesh, wp.vec3(p), lane, lanes)
+        # A few roundings for the sum of so many.
+        share = float(sum_of_block(wp.float64(found[0])))
+        error = float(sum_of_block(wp.float64(found[1])))
+        winding = whole - share
+        sure = is_sure(winding, whole, error)
+        if lane == 0:
+            if sure:
+                values[mesh, v[0], v[1], v[2]] = opened(winding)
+            else:
+                left[fetch_add(counts, exact, 1)] = voxels[item]
+            fetch_add(counts, looked, 1)
         item = next_of_block(counts, next_item)
-        while item < wp.min(counts[listed], voxels.shape[0]):
-            mesh, v = unravel(voxels[item], slab.shape)
-            p = place_of_voxel(tree, slab, mesh, v)
-            whole = values[mesh, v[0], v[1], v[2]]
-            found = cap_part(caps, mesh, wp.vec3(p), lane, lanes)
-            # A few roundings for the sum of so many.
-            share = float(sum_of_block(wp.float64(found[0])))
-            error = float(sum_of_block(wp.float64(found[1])))
-            winding = whole - share
-            sure = is_sure(winding, whole, error)
-            if not sure:
-                # Without the caps: the crossings of the surface alone.
-                crossings = int(0)
-                if caps.are_faces != 0:
-                    crossings = crossings_part(tree, mesh, p, lane, lanes)
-                else:
-                    crossings = crossings_part(caps.tree, mesh, p, lane, lanes)
-                met = float(sum_of_block(wp.float64(crossings)))
-                winding = float(sum_of_block(boundary_part(boundary, tree, mesh, p, lane, lanes)))
-                winding = wp.where(caps.are_faces != 0, met, whole - met) + winding
-            if lane == 0:
-                if sure:
-                    winding = opened(winding)
-                else:
-                    fetch_add(counts, exact, 1)
-                fetch_add(counts, looked, 1)
-                values[mesh, v[0], v[1], v[2]] = winding
-            item = next_of_block(counts, next_item)
-
-    return _sum_voxels
-
-
-_SUM_VOXELS = [_sum_voxels_kernel(*own) for own in zip(THREADS, BLOCKS, (sum_of_few, sum_of_many), strict=True)]
 
 
 def sum_voxels(
-    tree: Tree, boundary: Boundary, caps: Caps, slab: Slab, voxels: wp.array, places: Sequence[int], counts: wp.array,
+    tree: Tree, caps: Caps, slab: Slab, voxels: wp.array, left: wp.array, places: Sequence[int], counts: wp.array,
     values: wp.array,
 ) -> None:  # fmt: skip
     """Launch it; for the arguments see there."""
     device = values.device
-    many = int(boundary.count > MANY_EDGES)
-    lanes, blocks = (THREADS[many], BLOCKS[many] * device.sm_count) if device.is_cuda else (1, threads())
-    inputs = [lanes, tree, boundary, caps, slab, voxels, *places, counts, values]
-    launch(_SUM_VOXELS[many], blocks * lanes, inputs, device, lanes, smallest=1)
+    lanes, blocks = (THREADS, BLOCKS * device.sm_count) if device.is_cuda else (1, threads())
+    inputs = [lanes, tree, caps, slab, voxels, left, *places, counts, values]
+    launch(_sum_voxels, blocks * lanes, inputs, device, lanes, smallest=1)

@@ -13,7 +13,7 @@ import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums, open_caps
-from sdm.kernels.winding.rims import edge_boxes, every_voxel
+from sdm.kernels.winding.rims import edge_boxes, every_voxel, exact_voxels
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -108,6 +108,12 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         patch.setitem(edge_boxes.BOX_BITS, "cpu", 1 + seed % 2)
+        patch.setitem(edge_boxes.FEWEST_LARGE, "cpu", (0, np.inf)[seed // 2 % 2])
+        patch.setattr(edge_boxes, "LEAST_VOXELS", (edge_boxes.LEAST_VOXELS, 1)[seed // 3 % 2])
+        for module in (open_caps, exact_voxels):
+            # Many groups at one voxel, too.
+            patch.setattr(module, "groups_at_work", lambda _: (2, 40)[seed // 17 % 2])
+        patch.setattr(open_caps, "AROUND", ((1, 0), (0, 1), (1, 1))[seed // 13 % 3])
         patch.setattr(column_sums, "BY_EIGHTS", seed % 4 > 0)
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)

@@ -19,8 +19,8 @@ from sdm.kernels.winding.cap_field import doubt, share_at
 from sdm.kernels.winding.eights.box_strips import ERROR, SHARE, X, Y, Z, strips_of_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
-from sdm.kernels.winding.rims.edge_boxes import field_of
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
+from sdm.kernels.winding.rims.strip_looks import field_of
 
 POINTS = SIXTEEN
 ROOM = 2000

@@ -15,9 +15,9 @@ from sdm.kernels.bvh.tree import SCALE, Tree
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
 from sdm.kernels.winding.cap_field import doubt, share_at
-from sdm.kernels.winding.rims.edge_boxes import field_of
 from sdm.kernels.winding.rims.float32_sum import rim_part
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR, Eight, look_at_edges, strips_at
+from sdm.kernels.winding.rims.strip_looks import field_of
 
 POINTS = 8
 ROOM = 1500
