@@ -56,10 +56,15 @@ def test_a_file_without_permission(tmp_path):
     refused(tmp_path / "a.off", "Permission denied")
 
 
-@pytest.mark.parametrize("name", ["a.foo", "a", "a.nii.gz", "a.txt", "stl"])
+@pytest.mark.parametrize("name", ["a.foo", "a", "a.txt", "stl"])
 def test_an_ending_that_is_not_known(name, tmp_path):
     (tmp_path / name).write_text("x")
     refused(tmp_path / name, ".stl, .ply, .obj")
+
+
+def test_the_ending_of_an_image(tmp_path):
+    (tmp_path / "a.nii.gz").write_text("x")
+    refused(tmp_path / "a.nii.gz", "ends like an image or a map")
 
 
 @pytest.mark.parametrize("ending", ["stl", "ply", "obj", "off", "glb", "gltf", "zip", "dxf", "xyz"])
