@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from sdm.io.files.atomic import replacing
+from sdm.io.files.json_file import write_json
 
 
 def put(path: Path, text: str) -> None:
@@ -18,4 +18,5 @@ def put(path: Path, text: str) -> None:
 
 def write(path: Path, record: dict[str, Any]) -> None:
     """Write JSON; atomic."""
-    put(path, json.dumps(record, indent=1) + "\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, record)

@@ -80,9 +80,9 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
     """
     found = _known_pairing(faces, count)
     if found is None:
-        now = state_of(faces, count)
+        note = noted(faces, count)
         found = _pair_up(faces, count)
-        _remember(faces, now, found)
+        remember_noted(note, found)
     ready = found.ready
     if ready is not None:
         with torch.cuda.device(found.neighbours.device):
@@ -139,7 +139,7 @@ def _no_edges(device: torch.device) -> Tensor:
 
 def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
     """Remember the pairing of faces and so many vertices, for `pairing_of`."""
-    _remember(faces, state_of(faces, count), pairing)
+    remember_noted(noted(faces, count), pairing)
 
 
 def noted(faces: Tensor, count: int) -> Noted:
@@ -148,15 +148,10 @@ def noted(faces: Tensor, count: int) -> Noted:
     return number, weakref.ref(faces, partial(_forget, number)), state_of(faces, count)
 
 
-def remember_noted(note: Noted, make: Callable[[], Pairing]) -> None:
-    """`remember` what is made when somebody first asks: views of tensors take the host as long as launches."""
+def remember_noted(note: Noted, pairing: Pairing | Callable[[], Pairing]) -> None:
+    """`remember` a pairing, or what makes it once somebody asks: views of tensors take the host as long as launches."""
     number, faces, state = note
-    known[number] = _Known(faces, state, make)
-
-
-def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing | Callable[[], Pairing]) -> None:
-    number = id(faces)
-    known[number] = _Known(weakref.ref(faces, partial(_forget, number)), state, pairing)
+    known[number] = _Known(faces, state, pairing)
 
 
 def _forget(number: int, gone: Any) -> None:

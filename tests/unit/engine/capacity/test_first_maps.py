@@ -141,14 +141,20 @@ def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
     assert went == [OPEN, "settle", "settle"]
 
 
-def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, monkeypatch):
-    rooms = []
+@pytest.fixture
+def rooms(monkeypatch):
+    """Room for edges of the calls that are tried, one after the other."""
+    found = []
     plain = first_maps.class_call
     monkeypatch.setattr(
         first_maps,
         "class_call",
-        lambda kind, decisions, given, room, *more: rooms.append(room) or plain(kind, decisions, given, room, *more),
+        lambda kind, decisions, given, room, *more: found.append(room) or plain(kind, decisions, given, room, *more),
     )
+    return found
+
+
+def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, rooms, monkeypatch):
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
     vertices, faces = (torch.from_numpy(array) for array in torus(3000))
     torn_up = faces[::2].contiguous()
@@ -161,14 +167,7 @@ def test_a_mesh_with_many_edges_goes_to_a_class_with_room_for_them(went, monkeyp
     assert "settle" not in went
 
 
-def test_faces_that_do_not_agree_are_their_own_caps(went, monkeypatch):
-    rooms = []
-    plain = first_maps.class_call
-    monkeypatch.setattr(
-        first_maps,
-        "class_call",
-        lambda kind, decisions, given, room, *more: rooms.append(room) or plain(kind, decisions, given, room, *more),
-    )
+def test_faces_that_do_not_agree_are_their_own_caps(went, rooms, monkeypatch):
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
     vertices, faces = _closed()
     faces[::3] = faces[::3].flip(1)
