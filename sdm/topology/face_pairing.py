@@ -80,8 +80,9 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
     """
     found = _known_pairing(faces, count)
     if found is None:
+        # From one sort of all edges; waits for the device once.
         note = noted(faces, count)
-        found = _pair_up(faces, count)
+        found = PairingUnderWay(faces.contiguous(), count).finish()
         remember_noted(note, found)
     ready = found.ready
     if ready is not None:
@@ -247,11 +248,6 @@ class PairingUnderWay:
             )
         unmatched = self._unmatched[:open_edges] if open_edges else self._unmatched.new_empty((0, 3))
         return Pairing(unmatched, self.neighbours)
-
-
-def _pair_up(faces: Tensor, count: int) -> Pairing:
-    """All that faces say, from one sort of all edges; waits for the device once."""
-    return PairingUnderWay(faces.contiguous(), count).finish()
 
 
 def state_of(tensor: Tensor, count: int = 0) -> tuple[int, int] | None:

@@ -138,8 +138,8 @@ def test_boundaries_of_solids_are_closed(mesh):
 
 def test_the_same_faces_are_sorted_once(monkeypatch):
     calls = []
-    plain = sdm.topology.face_pairing._pair_up
-    monkeypatch.setattr(sdm.topology.face_pairing, "_pair_up", lambda *args: calls.append(1) or plain(*args))
+    plain = sdm.topology.face_pairing.PairingUnderWay
+    monkeypatch.setattr(sdm.topology.face_pairing, "PairingUnderWay", lambda *args: calls.append(1) or plain(*args))
     vertices, faces = (torch.tensor(array) for array in sphere(6))
     for _ in range(5):
         assert boundary_edges(vertices, faces).shape == (0, 2)
@@ -170,7 +170,7 @@ def _counted(monkeypatch, module, name: str) -> list:
 
 def test_a_mesh_that_moves_keeps_what_its_faces_say(monkeypatch):
     case = load_case("open hemisphere")
-    paired = _counted(monkeypatch, sdm.topology.face_pairing, "_pair_up")
+    paired = _counted(monkeypatch, sdm.topology.face_pairing, "PairingUnderWay")
     looped = _counted(monkeypatch, sdm.topology.cap_triangles, "caps_on_host")
     mesh = sdm.TriangleMesh(torch.tensor(case.vertices), torch.tensor(case.faces))
     index = sdm.MeshIndex(mesh, "cpu")

@@ -60,7 +60,7 @@ def _both(vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
     """Boundary edges by both ways, which must be one."""
     batch, index = torch.tensor(vertices), torch.tensor(faces)
     found = boundary_edges(batch, index)
-    unmatched = face_pairing._pair_up(index, batch.shape[-2]).unmatched
+    unmatched = face_pairing.PairingUnderWay(index, batch.shape[-2]).finish().unmatched
     if unmatched.shape[0]:
         # In any order.
         unmatched = unmatched[torch.randperm(len(unmatched), generator=torch.Generator().manual_seed(3))]
