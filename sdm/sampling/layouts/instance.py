@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -16,7 +16,7 @@ class Instance:
 
     Args:
         path: Its place below the folder, without its ending, with "/": what its random numbers depend on.
-        category: The folders above the last one that tells meshes apart, joined by "_".
+        category: The folders above the last one that tells meshes apart, joined by "_"; each class is one folder.
         name: That last one.
     """
 
@@ -35,10 +35,31 @@ def instances_of(places: Sequence[PurePath]) -> list[Instance]:
     parts = [place.parts for place in places]
     while len({own[-1] for own in parts}) == 1 and len(parts) > 1 and all(len(own) > 1 for own in parts):
         parts = [own[:-1] for own in parts]
+    categories = _distinct(own[:-1] for own in parts)
     return [
-        Instance(place.as_posix(), "_".join(own[:-1]) or ONE_CLASS, own[-1])
-        for place, own in zip(places, parts, strict=True)
+        Instance(place.as_posix(), category, own[-1])
+        for place, own, category in zip(places, parts, categories, strict=True)
     ]
+
+
+def _distinct(folders: Iterable[tuple[str, ...]]) -> list[str]:
+    """The class of each folder: other folders whose names come to be the same get "_" at the end."""
+    known: dict[tuple[str, ...], str] = {}
+    taken: set[str] = set()
+    found = []
+    for folder in folders:
+        if folder not in known:
+            known[folder] = free_name("_".join(folder) or ONE_CLASS, taken)
+        found.append(known[folder])
+    return found
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """A name, with "_" at its end as often as it takes to be no other's; it is taken then."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
 
 
 def lists_of(

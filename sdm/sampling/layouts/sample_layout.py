@@ -33,7 +33,11 @@ class Layout(Protocol):
         ...
 
     def is_done(self, number: int) -> bool:
-        """True if the samples of a mesh, by its number, are there."""
+        """True if the samples of a mesh, by its number, are there.
+
+        Raises:
+            MeshError: They are not, and the file that they belong in was finished without them.
+        """
         ...
 
     def write(self, number: int, samples: PointSamples) -> Path | None:
