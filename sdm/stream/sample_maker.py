@@ -20,6 +20,7 @@ from sdm.engine.map_check import ValuesCheck, named
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import DeviceError, MeshError, SDMError
+from sdm.io.maps.half_precision import diagonal_of, require_half_range
 from sdm.runtime.torch_warp import to_device
 from sdm.shapes import Family
 from sdm.shapes.named_family import check_promises
@@ -90,7 +91,7 @@ class Maker:
             raise SDMError(f"the truncation {truncate} must be a positive distance")
         grid = family.grid(grid) if isinstance(grid, int) else as_grid(grid)
         if dtype == torch.float16:
-            _refuse_overflow(grid, truncate)
+            require_half_range(grid, diagonal_of(grid), truncate, "or truncate to less")
         if device is None or str(device).startswith("cuda"):
             refuse_fork(getattr(torch.cuda, "_is_in_bad_fork", bool)())
         self.family, self.grid, self.seed = family, grid, operator.index(seed)
@@ -213,17 +214,6 @@ class Maker:
         for group in self.family.groups(theta, host):
             values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
         return values
-
-
-def _refuse_overflow(grid: Grid, truncate: float | None) -> None:
-    # No voxel is further than this from a surface within the grid.
-    diagonal = math.hypot(*(s * (n - 1) for s, n in zip(grid.spacing, grid.shape, strict=True)))
-    largest = torch.finfo(torch.float16).max
-    if min(diagonal, math.inf if truncate is None else truncate) > largest:
-        raise SDMError(
-            f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: "
-            "use float32, or truncate to less"
-        )
 
 
 def refuse_fork(forked: bool) -> None:

@@ -35,7 +35,7 @@ def compute(
     grid_like: Annotated[
         Path | None, tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(in place of --resolution)")
     ] = None,
-    margin: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.05,
+    margin: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: 0.05)")] = None,
     device: Device = "auto",
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
     format: Annotated[  # noqa: A002
@@ -122,6 +122,8 @@ def compute(
     for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
         if values is not None and len(values) not in (1, 3):
             raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
+    if margin is not None and grid_like is not None:
+        raise GridError("--margin is room around the mesh, and --grid-like says where the grid is: give one of them")
     if len(meshes) == 1 and is_map_name(meshes[0]):
         if both:
             raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
@@ -131,6 +133,8 @@ def compute(
             "--sign flood": sign == "flood",
             "--orient": orient != "keep",
             "--hole-size": hole_size is not None,
+            "--margin": margin is not None,
+            "--format": format is not None,
             "--scale": scale != 1,
             "--mesh-space": mesh_space != "ras",
             "--normalize": normalize is not None,
@@ -138,6 +142,7 @@ def compute(
             "--truncate": truncate is not None,
             "--band": band is not None,
             "--resume": resume,
+            "--skip-bad": skip_bad,
             "--report": report is not None,
             "--ray": ray is not None,
         }
@@ -151,7 +156,7 @@ def compute(
         spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
         like=None if grid_like is None else read_grid(grid_like),
         like_image=grid_like,
-        margin=margin,
+        margin=0.05 if margin is None else margin,
         device=choose_device(device),
         orient=orient,
         sign=sign,

@@ -19,7 +19,10 @@ def sample(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     layout: Literal["deepsdf", "occupancy", "zarr", "webdataset"] = "deepsdf",
-    law: Literal["paper", "released"] = "paper",
+    law: Annotated[
+        Literal["paper", "released"] | None,
+        tyro.conf.arg(metavar="{paper,released}", help_behavior_hint="(default: paper)"),
+    ] = None,
     count: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the layout's)")] = None,
     near: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the law's)")] = None,
     uniform: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the law's)")] = None,
@@ -40,7 +43,9 @@ def sample(
     hole_size: Annotated[
         float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
     ] = None,
-    open_meshes: Literal["reject", "keep"] = "reject",
+    open_meshes: Annotated[
+        Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
+    ] = None,
     seed: int = 0,
     device: Device = "auto",
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
 from sdm.errors import FormatError, SDMError
+from sdm.io.maps.half_precision import require_half_range
 
 DEFAULT_RESOLUTION = 128
 # Formats that have half precision, by their endings.
@@ -92,7 +94,7 @@ class Settings:
         by = Normalization.of(mesh, self.normalize)
         return by.normalised(mesh), by
 
-    def check(self, grid: Grid, target: Path) -> None:
+    def check(self, mesh: TriangleMesh, grid: Grid, target: Path) -> None:
         """Refuse a file that cannot hold what is wanted.
 
         Raises:
@@ -103,13 +105,12 @@ class Settings:
             return
         if not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):
             raise FormatError(f"{target} cannot hold float16: use .{' or .'.join(WITH_HALF)}, or float32")
-        largest = torch.finfo(torch.float16).max
-        diagonal = math.hypot(*(s * n for s, n in zip(grid.spacing, grid.shape, strict=True)))
-        if min(diagonal, math.inf if self.truncate is None else self.truncate) > largest:
-            raise SDMError(
-                f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: use float32, "
-                "--truncate or --normalize"
-            )
+        # No voxel is further from the mesh than from any of its vertices, and the furthest from one is at a corner.
+        vertex = mesh.vertices[int(mesh.faces[0, 0])].double().cpu().numpy()
+        ends = np.array(list(itertools.product(*((0, n - 1) for n in grid.shape))))
+        corners = ends @ grid.affine[:3, :3].T + grid.affine[:3, 3]
+        reach = float(np.linalg.norm(corners - vertex, axis=1).max())
+        require_half_range(grid, reach, self.truncate, "--truncate or --normalize")
 
     @property
     def voxels(self) -> int | None:

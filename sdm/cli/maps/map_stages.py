@@ -61,7 +61,7 @@ class MapStages:
         self._check_target(task.target)
         mesh, by = settings.placed(load_mesh(task.source))
         grid = settings.grid(mesh)
-        settings.check(grid, task.target)
+        settings.check(mesh, grid, task.target)
         measured = oriented(mesh, settings.orient, settings.device)
         digest = digest_of(measured, settings.how)
         there = settings.resume and _finished(task, grid, digest)

@@ -38,7 +38,7 @@ LAWS = {"paper": PAPER, "released": RELEASED}
 class SampleOptions:
     """Options of `sdm sample`; None where the law or the layout says."""
 
-    law: str
+    law: str | None
     shares: tuple[int | None, int | None, int | None]
     deviations: tuple[float, ...] | None
     box: float | None
@@ -47,7 +47,7 @@ class SampleOptions:
     closest: bool
     sign: Sign
     hole_size: float | None
-    open_meshes: str
+    open_meshes: str | None
     seed: int
 
     def recipe(self, name: str, layout: Layout) -> Recipe:
@@ -60,23 +60,35 @@ class SampleOptions:
             raise SDMError("the layout occupancy tells what is inside, and --sign none does not")
         if self.closest and name != "webdataset":
             raise SDMError(f"the layout {name} has no place for closest points: use --layout webdataset")
+        if self.law is not None and name == "occupancy":
+            raise SDMError(
+                "the layout occupancy has a law of its own: leave out --law, or change it by --near and others"
+            )
+        if self.open_meshes == "reject" and self.sign != "winding":
+            raise SDMError(f"--sign {self.sign} takes meshes with holes, and --open-meshes is for --sign winding")
         normal = layout.normalize if self.normalize is None else self.normalize
         kinds: dict[str, Normal | None] = {"sphere": "sphere", "cube": "cube", "none": None}
         return Recipe(
             layout=name,
-            law=self._law(layout.law if name == "occupancy" else LAWS[self.law]),
+            law=self._law(layout.law if name == "occupancy" else LAWS[self.law or "paper"]),
             count=count,
             normalize=kinds[normal],
             seed=self.seed,
             sign=self.sign,
             hole_size=self.hole_size,
             closest=self.closest,
-            open_meshes=self.open_meshes,
+            open_meshes=self.open_meshes or "reject",
         )
 
     def _law(self, law: SampleLaw) -> SampleLaw:
         given = dict(zip(("near", "uniform", "surface"), self.shares, strict=True))
         shares = {name: getattr(law, name) if value is None else value for name, value in given.items()}
+        for option, value, kind, where in (
+            ("--deviations", self.deviations, "near", "near the surface"),
+            ("--box", self.box, "uniform", "in the box"),
+        ):
+            if value is not None and shares[kind] == 0:
+                raise SDMError(f"{option} is of samples {where}, of which this law has none: give --{kind} too")
         return replace(
             law,
             **shares,

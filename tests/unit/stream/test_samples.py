@@ -204,6 +204,8 @@ def test_half_precision_must_hold_the_distances():
             stream(family, dtype=torch.float16, truncate=truncate)
     for options in ({"dtype": torch.float16, "truncate": 6e4}, {"dtype": torch.bfloat16}):
         assert bool(stream(family, 4, **options).sample(0).sdm.isfinite().all())
+    with pytest.raises(SDMError, match=r"voxels of .* are too small for float16, whose steps are 6e-08"):
+        stream(Ellipsoid(triangles=108, sizes=(1e-7, 2e-7)), dtype=torch.float16)
 
 
 def test_stops_where_it_is_told(family):

@@ -132,6 +132,8 @@ def test_what_cannot_be_is_refused(shapenet, tmp_path, capsys):
         (["-o", tmp_path / "x.nii.gz", "--dtype", "float16"], "cannot hold float16: use .npz or .zarr"),
         (["-o", tmp_path / "x.npz", "--truncate", "-1"], "--truncate is -1"),
         (["-o", tmp_path / "x.npz", "--dtype", "float16", "--scale", "1e6"], "float16 ends at 65504"),
+        (["-o", tmp_path / "x.npz", "--dtype", "float16", "--scale", "1e-8"], "too small for float16"),
+        (["-o", tmp_path / "x.npz", "--dtype", "float16", "--truncate", "1e-8"], "distances of 1e-08 are too small"),
         (["-o", tmp_path / "x.nvdb", "--normalize", "cube"], "no room"),
         (["-o", tmp_path / "x.npz", "--report", tmp_path / "no" / "r.json"], "is not there"),
         (["-o", tmp_path / "x.npz", "--report", source], "is an input too"),
@@ -139,6 +141,19 @@ def test_what_cannot_be_is_refused(shapenet, tmp_path, capsys):
         assert run(source, *SMALL, *words) == 2
         assert said in capsys.readouterr().err
     assert not list(tmp_path.glob("x.*"))
+
+
+def test_a_mesh_far_from_the_image_is_too_far_for_half_precision(shapenet, tmp_path, capsys):
+    """The grid is small, but distances on it are not: they came to be infinite in the file."""
+    source = shapenet / "02691156/bb/models/model_normalized.obj"
+    sdm.save(sdm.signed_distance_map(source, 5, device="cpu"), tmp_path / "here.npz")
+    mesh = sdm.load_mesh(source)
+    sdm.save_mesh(sdm.TriangleMesh(mesh.vertices + 1e5, mesh.faces), tmp_path / "far.ply")
+    more = ["--grid-like", tmp_path / "here.npz", "--device", "cpu", "--dtype", "float16"]
+    assert run(tmp_path / "far.ply", "-o", tmp_path / "x.npz", *more) == 2
+    assert "distances on this grid may reach 173208" in capsys.readouterr().err
+    assert run(tmp_path / "far.ply", "-o", tmp_path / "x.npz", *more, "--truncate", "2") == 0
+    assert sdm.load(tmp_path / "x.npz").numpy().max() == 2
 
 
 def test_a_full_disk_is_one_sentence(shapenet, tmp_path, capsys, monkeypatch):

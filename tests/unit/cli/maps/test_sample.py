@@ -204,7 +204,7 @@ def test_zarr_and_webdataset_hold_the_same(shapes, tmp_path):
 def test_any_number_of_threads_and_a_resume_make_the_same_bytes(layout, shapes, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sdm.sampling.layouts.webdataset.SHARD_BYTES", 16 * COUNT * 2)
     options = SampleOptions(
-        law="paper", shares=(None, None, None), deviations=None, box=None, normalize=None, count=COUNT, closest=False,
+        law=None, shares=(None, None, None), deviations=None, box=None, normalize=None, count=COUNT, closest=False,
         sign="winding", hole_size=None, open_meshes="keep", seed=5,
     )  # fmt: skip
     for workers in (1, 3):
@@ -257,6 +257,11 @@ def test_bad_input_is_one_sentence(shapes, tmp_path, capsys):
         ([shapes, "--closest"], "no place for closest points"),
         ([shapes, "--layout", "occupancy", "--sign", "none"], "tells what is inside"),
         ([shapes, "--hole-size", "1"], "hole_size"),
+        # What would say nothing.
+        ([shapes, "--layout", "occupancy", "--law", "released"], "has a law of its own"),
+        ([shapes, "--layout", "occupancy", "--deviations", "0.1"], "of which this law has none: give --near too"),
+        ([shapes, "--uniform", "0", "--box", "2"], "of which this law has none: give --uniform too"),
+        ([shapes, "--sign", "flood", "--open-meshes", "reject"], "--sign flood takes meshes with holes"),
     ):
         assert run(*words, "-o", tmp_path / "out") == 2
         (line,) = capsys.readouterr().err.splitlines()

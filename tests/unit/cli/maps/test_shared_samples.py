@@ -27,7 +27,7 @@ def folder(tmp_path):
 
 def sampled(folder: Path, out: Path, layout: str, **more) -> dict[str, bytes]:
     options = SampleOptions(
-        law="paper", shares=(None, None, None), deviations=None, box=None, normalize=None, count=COUNT, closest=False,
+        law=None, shares=(None, None, None), deviations=None, box=None, normalize=None, count=COUNT, closest=False,
         sign="winding", hole_size=None, open_meshes="keep", seed=5,
     )  # fmt: skip
     assert run([folder], out, layout, options, device="cpu", skip_bad=True, **more) is None
