@@ -134,8 +134,6 @@ def generate(
         "shift": shift,
         "warp": warp,
     }
-    if verify:
-        return _verify(source, options, out, device, ray)
     asked: dict[str, Any] = {
         "seed": seed,
         "sampler": sampler,
@@ -147,6 +145,13 @@ def generate(
         "compression": compression,
     }
     asked = {key: value for key, value in asked.items() if value is not None}
+    if verify:
+        further = {"count": count, "resolution": resolution, "margin": margin, "resume": resume or None, **asked}
+        for name in (name for name, value in further.items() if value is not None):
+            raise SDMError(
+                f"--verify makes shards again as the dataset was begun: leave out --{name.replace('_', '-')}"
+            )
+        return _verify(source, options, out, device, ray)
     begun = None
     if source is None and resume:
         recipe, there, begun, known = _recipe(out)

@@ -14,7 +14,7 @@ def view(
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP_OR_MESH")],
     *,
     level: Annotated[float, tyro.conf.arg(metavar="DISTANCE")] = 0.0,
-    resolution: int = 96,
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 96)")] = None,
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.png", help_behavior_hint="(default: a window)")
     ] = None,
@@ -35,13 +35,18 @@ def view(
     from sdm.core.device import choose_device
     from sdm.core.grid import Grid
     from sdm.engine.api import signed_distance_map
+    from sdm.errors import GridError
     from sdm.io import load, load_mesh
     from sdm.io.maps.formats import is_map_name
     from sdm.viz.viewer import view as show
 
     if is_map_name(file):
+        if resolution is not None:
+            raise GridError(f"{file} is a map, which has its own voxels: leave out --resolution")
         show(load(file), level=level, picture=out)
         return
     mesh = load_mesh(file)
-    field = signed_distance_map(mesh, Grid.around(mesh, resolution=resolution), device=choose_device(device))
+    field = signed_distance_map(
+        mesh, Grid.around(mesh, resolution=96 if resolution is None else resolution), device=choose_device(device)
+    )
     show(field, mesh=mesh, level=level, picture=out)

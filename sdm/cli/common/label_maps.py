@@ -59,6 +59,8 @@ def write_label_maps(
     """
     if smooth is not None and not signed:
         raise SDMError("--smooth gives signed maps of a surface: leave out --unsigned")
+    if smooth is not None and surface != "faces":
+        raise SDMError("--smooth measures to a surface of its own: leave out --surface")
     check_target(out)
     field = load(source)
     labels = _labels_of(field, source)

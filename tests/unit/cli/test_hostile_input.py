@@ -79,6 +79,7 @@ CASES = [
     ("sample ball.ply -o new --count 1000000000000", "1,000,000,000,000 samples need"),
     ("sample ball.ply -o new --deviations nan", "nan is no law"),
     ("edt one.nii.gz -o new.npz --smooth nan", "a smoothing of nan mm is not positive"),
+    ("edt one.nii.gz -o new.npz --smooth 1 --surface centres", "leave out --surface"),
     ("edt one.nii.gz -o new.npz --smooth 60", "a smoothing of 60 mm leaves nothing of a label that is 3 mm long"),
     ("edt full.nii.gz -o new.npz", "every voxel of full.nii.gz is of class 1"),
     ("edt full.nii.gz -o new.npz --classes 0", "full.nii.gz has no class 0: there are 1"),
@@ -103,6 +104,9 @@ CASES = [
     ("generate cuboid -o file --count 2", "file is there already"),
     ("generate cubiod -o new.zarr --count 2", "neither a family"),
     ("generate folder.ply -o new.zarr --count 2", "no mesh to use"),
+    ("generate -o file --verify --count 3", "--verify makes shards again as the dataset was begun: leave out --count"),
+    ("generate -o file --verify --hole-size 3", "leave out --hole-size"),
+    ("generate -o file --verify --resume", "leave out --resume"),
     ("generate -o file --verify", "is not a dataset"),
     ("generate -o new.zarr --resume", "is not a dataset"),
     # Networks.
@@ -143,6 +147,7 @@ CASES = [
     ("evaluate folder.ply label.nii.gz", "no labels to evaluate"),
     ("evaluate label.nii.gz nowhere.nii.gz", "there is no file or folder nowhere.nii.gz"),
     ("view map.npz --out new.txt", "does not end in .png"),
+    ("view map.npz --resolution 8 --out new.png", "leave out --resolution"),
     ("view ball.ply --resolution 0 --out new.png", "resolution 0"),
     ("view cut.npz --out new.png", "cut.npz cannot be read"),
     # The repository's own.
