@@ -23,10 +23,14 @@ from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
 from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.sampling.law import SURFACE
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
 from sdm.sampling.sample import PointSamples, draw_points, measure, mesh_seed
+
+# Fewer samples than these may miss the inside of a mesh that has one.
+FEW = 10_000
 
 
 @dataclass(frozen=True)
@@ -212,10 +216,14 @@ class FolderSampling:
         start, read = time.perf_counter(), found.read
         samples = found.rows.wait()
         inside = int(samples.occupancies.sum())
-        if self._recipe.sign != "none" and inside == 0:
+        spread = int((samples.kinds != SURFACE).sum())
+        if self._recipe.sign != "none" and inside == 0 and spread:
             flood = self._recipe.sign == "flood"
+            few = ", or too little for so few (--count)" if spread < FEW else ""
             gaps = ", or has gaps, which a larger hole_size closes (--hole-size)" if flood else ""
-            raise MeshError(f"none of the samples of {read.task.source} is inside: it encloses nothing{gaps}")
+            raise MeshError(
+                f"none of {spread:,} samples around {read.task.source} is inside: it encloses nothing{few}{gaps}"
+            )
         path = self._layout.write(read.task.number, samples)
         seconds = found.seconds + time.perf_counter() - start
         return SampledMesh(path, False, len(read.mesh), read.closed, inside, samples.unsure, seconds)

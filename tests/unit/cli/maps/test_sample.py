@@ -250,6 +250,24 @@ def test_sheets_by_a_flood_and_unsigned(shapes, tmp_path):
     assert len(rows["neg"]) == 0
 
 
+def test_samples_of_the_surface_alone_and_very_few(shapes, tmp_path, capsys):
+    """Nothing of what lies on a surface is inside it, which is no reason to say that it encloses nothing."""
+    words = [shapes / "02691156", "-o", tmp_path / "s", "--near", "0", "--uniform", "0", "--surface", "1"]
+    assert run(*words, "--layout", "zarr") == 0
+    points, distances = read_zarr(tmp_path / "s", 1)
+    assert np.isfinite(points).all()
+    assert not distances.any()
+    few = [shapes / "02691156", "-o", tmp_path / "f", "--uniform", "1", "--near", "0", "--box", "0.001"]
+    assert run(*few) == 0
+    thin = tmp_path / "thin"
+    thin.mkdir()
+    trimesh.creation.box((1, 1, 1e-5)).export(thin / "thin.ply")
+    capsys.readouterr()
+    assert run(thin, "-o", tmp_path / "t") == 2
+    assert "none of 400 samples around" in (said := capsys.readouterr().err)
+    assert "encloses nothing, or too little for so few (--count)" in said
+
+
 def test_bad_input_is_one_sentence(shapes, tmp_path, capsys):
     for words, said in (
         ([tmp_path], "no mesh was found"),
