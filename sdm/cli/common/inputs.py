@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -28,7 +29,8 @@ def refuse_twice(target: Path | None, others: Iterable[Path | None]) -> None:
     """
     # Of very many outputs those alone are looked up that are called alike.
     alike = [] if target is None else [other for other in others if other is not None and other.name == target.name]
-    if target is not None and target.resolve() in [other.resolve() for other in alike]:
+    # Not by Path.resolve, which raises where a link leads to itself.
+    if target is not None and os.path.realpath(target) in map(os.path.realpath, alike):
         raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
 
 

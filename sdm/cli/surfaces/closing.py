@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from sdm.core.device import choose_device
 from sdm.errors import FormatError, MeshError
 from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.stand_in import known, shown
+from sdm.io.maps.formats import check_file
 from sdm.io.meshes.write import WRITERS, ending_to_write
 from sdm.remeshing import WatertightReport
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -36,6 +38,12 @@ def targets_of(meshes: list[Path], out: Path, ending: str | None) -> tuple[list[
         FormatError: Several surfaces for one file, another format than that of the file, or one to write over a mesh.
     """
     sources = inputs_of(meshes)
+    place = os.path.realpath(out)
+    if any(place.startswith(f"{os.path.realpath(path)}{os.sep}") for path in meshes):
+        # Surfaces that a run before has written into a folder of what it read are no meshes to close.
+        real = {folder: os.path.realpath(folder) for folder in {file.parent for file in sources}}
+        own = {folder for folder, there in real.items() if f"{there}{os.sep}".startswith(f"{place}{os.sep}")}
+        sources = {file: name for file, name in sources.items() if file in meshes or file.parent not in own}
     if not sources:
         where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
@@ -87,6 +95,7 @@ def run(
     if report is not None:
         refuse_inputs([report], (source for source, _ in jobs))
         refuse_twice(report, (target for _, target in jobs))
+        check_file(report)
     journal, times = Journal(folder, report, resume=resume), StageTimes()
     entries: list[MeshEntry] = []
     found: dict[str, dict[str, Any]] = {}

@@ -45,6 +45,9 @@ CASES = [
     ("inspect map.npz", "ends like an image or a map"),
     ("inspect file", "file is no mesh by a name without an ending; known are .stl"),
     ("compute ball.ply -o new.npz --report new.npz", "new.npz is given for two outputs"),
+    ("compute ball.ply -o loop.ply --report loop.ply", "does not end like a map"),
+    ("watertight ball.ply -o new.ply --report loop/x.json", "is not there; make it first"),
+    ("watertight ball.ply -o new.ply --report loop.json --resolution 0", "resolution"),
     ("watertight ball.ply -o new.ply --report new.ply", "new.ply is given for two outputs"),
     (
         "compute ball.ply -o new --format tif",
@@ -174,6 +177,7 @@ def folder(tmp_path_factory):
 def _filled(place: Path) -> Path:
     trimesh.creation.icosphere(1).export("ball.ply")
     Path("loop.ply").symlink_to("loop.ply")
+    Path("loop.json").symlink_to("loop.json")
     Path("folder.ply").mkdir()
     Path("pipe.ply").symlink_to("/dev/null")
     Path("file").write_text("nothing\n")

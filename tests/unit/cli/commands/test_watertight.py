@@ -51,6 +51,17 @@ def test_a_folder_goes_on_past_a_bad_mesh(roof, tmp_path, capsys):
     assert main([*words, "--skip-bad"]) == 0
 
 
+def test_surfaces_in_the_folder_that_is_read_are_no_meshes_to_close(roof, capsys, monkeypatch):
+    """The same command once more has the same meshes, also by another way to the folder."""
+    monkeypatch.chdir(roof.parent.parent)
+    words = ["watertight", "in", "--resolution", "8", "--device", "cpu", "-o"]
+    assert main([*words, "in/closed"]) == 0
+    assert main([*words, "in/closed", "--resume"]) == 0
+    assert main([*words, str(roof.parent / "closed"), "--resume"]) == 0
+    assert "is there already" in capsys.readouterr().out
+    assert sorted(path.name for path in (roof.parent / "closed").iterdir()) == ["report.json", "roof.ply"]
+
+
 def test_a_run_that_was_interrupted_goes_on(roof, tmp_path, capsys, monkeypatch):
     """Finished surfaces are left; those of another mesh, in another way, or cut short are made again."""
     for number in range(3):
