@@ -1,4 +1,8 @@
-"""Shards on the devices of one machine: in this process, or in one process for each device."""
+"""Shards on the devices of one machine: in this process, and in one more for each device but the first.
+
+Processes take some eight seconds to start, in which this one has done many shards. Each has a pipe of its own, and
+nothing else that two processes use: one that is killed, at whatever moment, leaves no lock that another waits for.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,12 @@ import pickle
 import queue
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, Self
 
 import torch
 
@@ -17,8 +25,8 @@ from sdm.errors import SDMError
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.job import SharedJob
 
-# How often the processes are looked at while they say nothing [s].
-PATIENCE = 1.0
+# Until a process that has let go of its pipe is seen to have ended, and between two looks for an interrupt [s].
+PATIENCE, LOOK = 5.0, 1.0
 
 
 def run_here(
@@ -26,7 +34,7 @@ def run_here(
 ) -> None:
     """Do shards; `done` is called with what the job tells of each that is on the disk, in whatever order they end.
 
-    `times` is the clock of the stages, where they are in this process.
+    `times` is the clock of the stages in this process.
 
     Raises:
         SDMError: A process failed or died.
@@ -34,72 +42,143 @@ def run_here(
     if len(devices) == 1 or len(shards) == 1:
         job.run(shards, job.maker(devices[0]), done, times=times)
         return
-    # A forked process cannot use CUDA.
-    context = multiprocessing.get_context("spawn")
-    before = set(threading.enumerate())
-    todo: Any = context.Queue()
-    said: Any = context.Queue()
-    jobs: Any = context.Queue()
-    # This process ends also if one that died has left something in the queues.
-    for waiting in (todo, jobs):
-        waiting.cancel_join_thread()
-    # Not with the start of a process, which waits until the new one has imported everything if it is handed more than a
-    # pipe holds, as the names of a thousand files are: then one starts after the other.
-    packed = pickle.dumps(job)
-    for _ in devices:
-        jobs.put(packed)
-    for number in shards:
-        todo.put(number)
-    for _ in devices:
-        todo.put(None)
-    workers = [context.Process(target=_serve, args=(device, jobs, todo, said), daemon=True) for device in devices]
-    for worker in workers:
-        worker.start()
-    try:
-        left = len(shards)
+    todo, left = deque(shards), len(shards)
+
+    def count(told: Any) -> None:
+        nonlocal left
+        left -= 1
+        done(told)
+
+    with _Others(job, todo, devices[1:]) as others:
+
+        def own() -> Iterator[int]:
+            while (number := _next(todo)) is not None:
+                # What the others have said meanwhile.
+                while (told := others.hear(wait=False)) is not None:
+                    count(told)
+                yield number
+
+        job.run(own(), job.maker(devices[0]), count, times=times)
         while left:
-            done(_hear(said, workers, devices))
-            left -= 1
-        for worker in workers:
-            worker.join()
-    finally:
-        for worker in workers:
-            worker.terminate()
-            worker.join()
-        _let_go([todo, jobs], before)
+            count(others.hear(wait=True))
 
 
-def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
-    while True:
-        for worker, device in zip(workers, devices, strict=True):
-            if worker.exitcode not in (None, 0):
-                raise SDMError(
-                    f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there"
-                )
-        try:
-            kind, what = said.get(timeout=PATIENCE)
-        except queue.Empty:
-            continue
-        if kind == "error":
-            raise SDMError(what)
-        return what
+class _Others:
+    """Processes that take shards from the same list; a context manager, which ends those too that are still starting.
 
-
-def _let_go(queues: list[Any], before: set[threading.Thread]) -> None:
-    """Close queues, and wait for the threads behind them, which were not there before.
-
-    Such a thread drops its queue's locks as it ends. At the end of Python it may be stopped in the middle of that, and
-    Python warns of a lock that is gone.
+    Args:
+        job: The work.
+        todo: Shards that nobody has begun.
+        devices: One process for each.
     """
-    for ended in queues:
-        ended.close()
-    for thread in set(threading.enumerate()) - before:
-        if thread.name == "QueueFeederThread":
-            # One whose processes died may wait for a reader for ever.
-            thread.join(PATIENCE)
+
+    def __init__(self, job: SharedJob, todo: deque[int], devices: Sequence[str]) -> None:
+        self._job, self._todo, self._devices = pickle.dumps(job), todo, devices
+        # Reports of shards, or what went wrong.
+        self._said: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._workers: list[Any] = []
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> Self:
+        # A forked process cannot use CUDA.
+        context = multiprocessing.get_context("spawn")
+        try:
+            with _no_interrupt():
+                for device in self._devices:
+                    ours, theirs = context.Pipe()
+                    worker = context.Process(target=_serve, args=(device, theirs), daemon=True)
+                    self._workers.append(worker)
+                    try:
+                        worker.start()
+                    finally:
+                        # Its end is seen by this.
+                        theirs.close()
+                    thread = threading.Thread(target=self._attend, args=(worker, device, ours), daemon=True)
+                    self._threads.append(thread)
+                    thread.start()
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end()
+
+    def _end(self) -> None:
+        for worker in self._workers:
+            # Of one that did not start there is nothing to end.
+            if worker.pid is not None:
+                worker.terminate()
+        for worker in self._workers:
+            if worker.pid is not None:
+                worker.join()
+        for thread in self._threads:
+            thread.join()
+
+    def hear(self, *, wait: bool) -> Any:
+        """Report of a shard by one of the processes; None if there is none, and it is not waited for.
+
+        Raises:
+            SDMError: One of them failed or died.
+        """
+        while True:
+            try:
+                # Where a lock that is waited for keeps an interrupt back, as on Windows, it comes after a while.
+                found = self._said.get(wait, LOOK)
+            except queue.Empty:
+                if wait:
+                    continue
+                return None
+            if isinstance(found, SDMError):
+                raise found
+            return found
+
+    def _attend(self, worker: Any, device: str, link: Connection) -> None:
+        """Give a process what it asks for, until it ends."""
+        with link:
+            try:
+                # Not with its start, which waits until it has imported everything if it is handed more than a pipe
+                # holds, as the names of a thousand files are: then one starts after the other.
+                link.send_bytes(self._job)
+                while (found := link.recv())[0] != "end":
+                    kind, what = found
+                    if kind == "next":
+                        link.send(_next(self._todo))
+                    else:
+                        self._said.put(SDMError(what) if kind == "error" else what)
+            except (EOFError, OSError):
+                worker.join(PATIENCE)
+                self._said.put(
+                    SDMError(f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there")
+                )
 
 
-def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
+def _next(todo: deque[int]) -> int | None:
+    with suppress(IndexError):
+        return todo.popleft()
+    return None
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """Processes that the block starts hear of no interrupt, from the first moment on: it is this process's to take."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing.resource_tracker import ensure_running
+
+    # It comes with the first process, and takes interrupts again when it has started.
+    ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(device: str, link: Connection) -> None:
     # An interrupt is the first process's to take, which ends this one; and it must not work on if that was killed.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Beside others it has not all cores.
@@ -110,15 +189,20 @@ def _serve(device: str, jobs: Any, todo: Any, said: Any) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     def shards() -> Iterator[int]:
-        while (number := todo.get()) is not None:
+        while True:
+            link.send(("next", None))
+            number = link.recv()
+            if number is None:
+                return
             yield number
 
     try:
         # From the process that started this one.
-        job: SharedJob = pickle.loads(jobs.get())  # noqa: S301
-        job.run(shards(), job.maker(device), lambda told: said.put(("done", told)))
+        job: SharedJob = pickle.loads(link.recv_bytes())  # noqa: S301
+        job.run(shards(), job.maker(device), lambda told: link.send(("done", told)))
     except SDMError as error:
-        said.put(("error", str(error)))
+        link.send(("error", str(error)))
+    link.send(("end", None))
 
 
 def _end_with_parent() -> None:

@@ -18,15 +18,16 @@ from sdm.runtime.sharing.ray_cluster import run_on_ray
 LEAST, MOST, OF_EACH = 8, 64, 8
 # How many devices a cluster is taken to have, about which nobody can say beforehand.
 OF_CLUSTER = 8
-# Seconds until processes come to their first map: two of `sdm generate` on a host of 32 cores took 7.6.
-START = 8.0
+# Seconds until processes come to their first map: two of `sdm generate` on a host of 32 cores took 7.6. Work that one
+# process, which has started, ends within a quarter more is no work for them.
+START, WORTH = 8.0, 1.25
 # Processes on one GPU, and cores that each is to have: the host's part of the work takes longer than the device's, and
 # is held up by Python's lock.
 OF_ONE_GPU, CORES = 4, 4
 
 
 def processes_for(devices: list[str], seconds: float, *, several: bool = True) -> list[str]:
-    """The devices of processes that share work, some of them several times; one alone where it ends before they start.
+    """The devices of processes that share work, some of them several times; one alone where it ends before others help.
 
     Args:
         devices: Of this machine.
@@ -36,9 +37,7 @@ def processes_for(devices: list[str], seconds: float, *, several: bool = True) -
     if not devices[0].startswith("cuda"):
         return devices[:1]
     each = max(1, min(OF_ONE_GPU, cores() // (CORES * len(devices)))) if several else 1
-    all_of_them = devices * each
-    # One alone is this process, which has started.
-    return all_of_them if seconds / len(all_of_them) + START < seconds else devices[:1]
+    return devices * each if seconds > WORTH * START else devices[:1]
 
 
 def shard_size(items: int, devices: int) -> int:

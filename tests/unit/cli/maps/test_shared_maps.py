@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -76,13 +79,35 @@ def test_two_processes_make_what_one_makes(folder, tmp_path, monkeypatch, capfd)
         assert min(busy.values()) > 0
 
 
+# Each process says when it works, slowly, so that none comes to the end before it is killed. If two are wanted, the
+# first one waits for the other.
 SEVERAL = """
+import os
 import sys
+import time
+from pathlib import Path
+
 from sdm.cli import main
 from sdm.cli.maps import run
+from sdm.cli.maps.map_stages import MapStages
 from sdm.runtime.sharing import devices
+
 run.processes_for, devices.devices_for = lambda devices, *_, **__: devices, lambda _: ["cpu", "cpu"]
-sys.exit(main())
+run.shard_size = lambda *_: 1
+measure, seen, wanted = MapStages.measure, Path(os.environ["SEEN"]), int(os.environ["WANTED"])
+
+
+def slowly(stages, group):
+    Path(seen, str(os.getpid())).touch()
+    while len(list(seen.iterdir())) < wanted:
+        time.sleep(0.01)
+    time.sleep(0.3)
+    return measure(stages, group)
+
+
+MapStages.measure = slowly
+if __name__ == "__main__":
+    sys.exit(main())
 """
 
 
@@ -90,26 +115,34 @@ sys.exit(main())
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes as Linux has them")
 def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder, tmp_path, capsys):
     """A process that is lost is named; those of a command that is killed end, and do not go on writing."""
-    out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "64", "-o"]
-    for victim in ("interrupt", "child", "parent"):
-        before = len(list(out.glob("[0-9]*.npz")))
-        command = [sys.executable, "-W", "ignore", "-c", SEVERAL, *words, str(out), "--resume"]
+    out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "16", "-o"]
+    script = tmp_path / "several.py"
+    script.write_text(SEVERAL)
+    for number in range(COUNT, 4 * COUNT):
+        shutil.copy(folder / "00.ply", folder / f"{number}.ply")
+    # While the second process starts, and while both work.
+    for number, (wanted, victim) in enumerate(product((1, 2), ("interrupt", "child", "parent"))):
+        before, seen = len(list(out.glob("[0-9]*.npz"))), tmp_path / f"seen {number}"
+        seen.mkdir()
+        command = [sys.executable, "-W", "ignore", str(script), *words, str(out), "--resume"]
         pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-        child = subprocess.Popen(command, start_new_session=True, **pipes)
+        around = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[4]), "SEEN": str(seen), "WANTED": str(wanted)}
+        child = subprocess.Popen(command, start_new_session=True, env=around, **pipes)
         _wait_for(lambda before=before: len(list(out.glob("[0-9]*.npz"))) > before)
         processes = _workers(child.pid)
-        assert len(processes) == 2
+        assert len(processes) == 1
         if victim == "interrupt":
             # As a terminal does it, to all of them.
             os.killpg(child.pid, signal.SIGINT)
         else:
             os.kill(processes[0] if victim == "child" else child.pid, signal.SIGKILL)
-        said = child.communicate()[1]
+        said = child.communicate(timeout=90)[1]
         if victim == "child":
             assert "the process on cpu died (exit code -9); --resume goes on from there" in said
         assert "Traceback" not in said
-        assert child.returncode == {"interrupt": 130, "child": 2, "parent": -9}[victim]
-        _wait_for(lambda processes=processes: not any(map(_runs, processes)))
+        assert child.returncode == {"interrupt": 130, "child": 2, "parent": -9}[victim], said
+        _wait_for(lambda session=child.pid: not _running(session))
+        assert len(list(out.glob("[0-9]*.npz"))) < 4 * COUNT - 1
     assert main([*words, str(out), "--resume"]) == 2
     assert main([*words, str(tmp_path / "whole")]) == 2
     found = {name: content for name, content in contents(out).items() if not name.startswith(".")}
@@ -130,11 +163,15 @@ def _workers(pid: int) -> list[int]:
     return [one for one in found if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
 
 
-def _runs(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+def _running(session: int) -> list[int]:
+    """All processes that a command has begun and that have not ended, by the number of its session."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, own = place.read_text().rpartition(")")[2].split()[:4]
+            if int(own) == session and state != "Z":
+                found.append(int(place.parent.name))
+    return found
 
 
 def test_a_restart_reads_no_mesh_that_the_manifest_has(folder, tmp_path, monkeypatch, capsys):
@@ -205,7 +242,7 @@ def test_who_shares_the_work(monkeypatch):
     monkeypatch.setattr(share_out, "cores", lambda: 32)
     two = ["cuda:0", "cuda:1"]
     # One has ended when others would have started.
-    assert processes_of(2000, map_settings(128), two) == ["cuda:0"]
+    assert processes_of(1200, map_settings(128), two) == ["cuda:0"]
     assert processes_of(5000, map_settings(128), two) == two * 4
     # Large maps are few: a process of each device makes them.
     assert processes_of(1000, map_settings(512), two) == two
