@@ -35,6 +35,7 @@ from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
 DEEPSDF, LARGE = "sdm/deepsdf/README.md", "docs/howto/large.md"
+WANG = "docs/papers/wang.md"
 SCIPY, DISK = "docs/from/scipy.md", "docs/from-disk-to-disk.md"
 
 Numbers = Callable[[Any], Sequence[Any]]
@@ -212,6 +213,10 @@ def _from_exact(record: Any) -> list[float]:
     return [100 * found["largest_relative_to_exact"], 100 * found["largest_share_of_range_from_exact"]]
 
 
+def _alone_from_exact(record: Any) -> list[float]:
+    return [100 * record["summary"]["surrogate-alone"]["largest_share_of_range_from_exact"]]
+
+
 def _seconds(record: Any) -> list[float]:
     return [_method(record, name)["ms"] / 1000 for name in ("libigl pseudonormal", "stock Warp", "exact engine")]
 
@@ -336,6 +341,8 @@ FIGURES = (
     Figure(PAPERS, "with SDMNN+ {:.1f} s | other data", "fit-cases", lambda r: _fits(r)[:1]),
     Figure(PAPERS, "with anchors, {:.2f} % and {:.2f} % by SDMNN+", "fit-cases", _from_exact),
     Figure(PAPERS, "exact: {:.2f} % of the value and {:.2f} % of the range", "fit-cases-paper", _from_exact),
+    Figure(PAPERS, "by the first alone {:.1f} % of the range", "fit-cases-paper", _alone_from_exact),
+    Figure(WANG, "up to {:.1f} % of their range from the exact", "fit-cases-paper", _alone_from_exact),
     Figure(PAPERS, "libigl {:.3f} s, stock Warp {:.3f} s, our exact engine {:.3f} s", "surrogate-cpu", _seconds),
     Figure(PAPERS, "| {:.3f} s (OpenVINO, untrained: its time alone)", "surrogate-cpu", _untrained),
     Figure(
