@@ -95,7 +95,7 @@ class TriangleMesh:
         return TriangleMesh(self.vertices, self.faces.flip(1).contiguous(), self.name, check=False)
 
     def save(self, path: str | Path) -> None:
-        """Write to `.ply`, `.stl`, `.obj`, `.off` or `.glb`, as the name ends; atomic.
+        """Write to a file whose name's ending is the format, as `sdm.save_mesh` does; atomic.
 
         Raises:
             FormatError: Another ending, or a place that cannot be written.
@@ -197,7 +197,6 @@ def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
     if faces.numel() == 0 or vertices.numel() == 0:
         raise MeshError(f"{name} has no triangles; give a surface mesh, not points or lines")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        meant = _turned(vertices)
         raise MeshError(
             f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed{_turned(vertices)}"
         )

@@ -333,7 +333,11 @@ class SDM:
         return map_to_nibabel(self)
 
     def save(self, path: str | Path) -> None:
-        """Write to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends; atomic. See `sdm.io`."""
+        """Write to a file whose name's ending is the format, as `sdm.save` does; atomic.
+
+        Raises:
+            FormatError: Another ending, or a place that cannot be written.
+        """
         from sdm.io import save
 
         save(self, path)

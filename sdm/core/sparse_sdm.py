@@ -61,7 +61,10 @@ class SparseSDM:
         wanted = {"blocks": (3,), "values": (BLOCK,) * 3, "inside": (4,)}
         for name, shape in wanted.items():
             if tuple(getattr(self, name).shape[1:]) != shape:
-                raise GridError(f"{name} of a band have the shape {tuple(getattr(self, name).shape)}; (N,*{shape})")
+                raise GridError(
+                    f"{name} of a band have the shape {tuple(getattr(self, name).shape)}; "
+                    f"(N, {', '.join(map(str, shape))}) is needed"
+                )
         if len(self.blocks) != len(self.values):
             raise GridError(f"a band has {len(self.blocks)} blocks, and values for {len(self.values)}")
         if not (math.isfinite(self.width) and self.width > 0):
@@ -208,7 +211,11 @@ class SparseSDM:
         return slope.to(self.values.dtype).masked_fill(found.isnan()[..., None], torch.nan)
 
     def save(self, path: str | Path) -> None:
-        """Write to `.npz`, `.zarr` or `.nvdb`, as the name ends; atomic. `sdm.load` reads it."""
+        """Write to `.npz`, `.zarr` or `.nvdb`, as the name ends; atomic. `sdm.load` reads it.
+
+        Raises:
+            FormatError: Another ending, or a place that cannot be written.
+        """
         from sdm.io import save
 
         save(self, path)

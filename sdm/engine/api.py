@@ -231,6 +231,11 @@ def signed_distance(
         Differentiable in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex
         minus the closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
 
+    Raises:
+        DeviceError: The device is not there.
+        MeshError: What is given is no mesh, or one that cannot be used, or the points are not (...,3) numbers.
+        SDMError: A sign that there is not for points.
+
     Warns:
         SDMWarning: On a CPU, none of 8 points or more is inside, and the mesh would be among them in other axes or
             another unit, or it is inside out.

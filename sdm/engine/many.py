@@ -210,6 +210,12 @@ def signed_distance_maps(
     iterable a list. The maps of a chunk are parts of one tensor. Errors and warnings name the mesh by its number,
     from 0. Of a batch the first maps of faces on a grid are looked at, and there is a warning if nothing is inside one
     of them since it is elsewhere or inside out; on a GPU at the next call, as nothing waits for it.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: The maps do not fit into memory, or nothing says what their grid is.
+        MeshError: What is given is no batch and no list of meshes, or one of them cannot be used.
+        SDMError: A sign that there is not, or an option that is for single meshes and lists alone.
     """
     plain = sign == "winding" and hole_size is None and not compare_signs
     method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)

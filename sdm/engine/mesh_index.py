@@ -66,6 +66,7 @@ class MeshIndex:
 
     Raises:
         DeviceError: The device is not there.
+        MeshError: What is given is no mesh, or one that cannot be used.
 
     Takes about 350 bytes a triangle of memory on the device (420 for a mesh with more than 1024 boundary edges).
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
@@ -181,6 +182,9 @@ class MeshIndex:
 
         A whole number for closed meshes; exact to float32 for meshes with up to 1024 boundary edges; for others it is
         within 4e-4 near 0.25, 0.5 and 0.75, and elsewhere on the right side of them.
+
+        Raises:
+            MeshError: The points are not (...,3) numbers.
         """
         at = as_points(points, self.device)
         if self._repeated is not None:

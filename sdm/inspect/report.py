@@ -109,6 +109,9 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
 
     Returns:
         A `MeshReport`. Lengths, areas and volumes are in the mesh's own unit.
+
+    Raises:
+        MeshError: What is given is no mesh, or one that cannot be used.
     """
     mesh = as_mesh(mesh)
     vertices, faces = mesh.numpy()

@@ -43,7 +43,7 @@ class VoxelCounts(NamedTuple):
 
 
 def save(field: SDM | SparseSDM, path: str | Path) -> None:
-    """Write a map to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends.
+    """Write a map to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.mha`, `.mhd`, `.vti`, `.zarr` or `.nvdb`, as the name ends.
 
     Args:
         field: The map, on any device; values are written as float32. A narrow band goes to `.npz`, `.zarr` or `.nvdb`.
@@ -83,7 +83,7 @@ def write_made_from(field: SDM, target: Path, made_from: str | None, *, workers:
 
 
 def load(path: str | Path) -> SDM:
-    """Read a map that `save` wrote, or any NIfTI or NRRD image of three dimensions, onto the host.
+    """Read a map that `save` wrote, or a NIfTI, NRRD, MetaImage or VTI image of three dimensions, onto the host.
 
     An address, such as `s3://bucket/map.npz`, is read with the extra `remote`. A file of a narrow band gives a
     `SparseSDM`; `load_band` takes no other files, and is typed so.

@@ -22,7 +22,9 @@ from sdm.io.meshes.scene import check_indices, read_scene
 
 
 def load_mesh(path: str | Path) -> TriangleMesh:
-    """Read a triangle mesh: STL, PLY, OBJ, OFF, GLB, glTF, and with the extra `formats` COLLADA, 3MF and 3DXML.
+    """Read a triangle mesh: STL, PLY, OBJ, OFF, GLB, glTF, VTK's `.vtk` and `.vtp`, GIfTI and FreeSurfer's surfaces.
+
+    With the extra `formats` also COLLADA, 3MF, 3DXML and XAML.
 
     Args:
         path: The file, or its address, such as `s3://bucket/mesh.ply` (extra `remote`).
