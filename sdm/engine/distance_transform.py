@@ -15,6 +15,7 @@ from sdm.engine.edt.nearest_voxels import NearestVoxels, labels_at
 from sdm.engine.edt.passes import LANES, MOST_VOXELS, fill_classes, is_class
 from sdm.errors import GridError, SDMError
 from sdm.kernels.edt.envelopes import LONGEST_LINE
+from sdm.runtime.operators import is_eager
 
 # What "surface" means: how far the surface of a voxel is from its centre, in voxels.
 SURFACES = {"centres": 0.0, "faces": 0.5}
@@ -82,7 +83,8 @@ def euclidean_distance_transform(
     Args:
         mask: (x,y,z), (B,x,y,z) or (B,1,x,y,z); bool, or numbers of which those that are not zero are foreground, or
             labels. At most 32767 voxels along an axis. A tensor, CuPy's, or a NumPy array, which is measured on the
-            CPU.
+            CPU. NaN is refused on a CPU; on a GPU, where a look at all values would wait for the device, it is
+            foreground, and none of `classes`.
         spacing: Size of a voxel along each axis, in the unit that the distances shall have; one number for all axes.
         signed: Whether the inside has negative distances, rather than 0.
         surface: "centres" or "faces".
@@ -99,8 +101,8 @@ def euclidean_distance_transform(
 
     Raises:
         GridError: The shape or the spacing cannot be used.
-        SDMError: `surface` is neither of the two, the mask holds no numbers, classes that are none, or an `out` that
-            does not fit.
+        SDMError: `surface` is neither of the two, the mask holds no numbers or, on a CPU, NaN, classes that are none,
+            or an `out` that does not fit.
     """
     if not isinstance(mask, Tensor):
         given, back = _tensor_of(mask)
@@ -123,6 +125,7 @@ def euclidean_distance_transform(
     if signed and return_nearest:
         raise SDMError("a signed transform has two nearest voxels everywhere: give return_nearest without signed")
     volumes = mask.detach().reshape(math.prod(mask.shape[:-3]), *shape)
+    _refuse_nan(volumes)
     half = SURFACES[surface]
     values = None if classes is None else _values(classes, volumes)
     batch = mask.shape[: 0 if mask.ndim == 3 else 1]
@@ -176,6 +179,17 @@ def _check(mask: Tensor, spacing: float | Sequence[float], surface: str) -> tupl
     return size, shape
 
 
+def _refuse_nan(volumes: Tensor) -> None:
+    # Truth values and whole numbers have none, and a GPU would be waited for.
+    if not volumes.dtype.is_floating_point or volumes.device.type != "cpu" or not volumes.numel():
+        return
+    if is_eager(volumes) and bool(volumes.amax().isnan()):
+        raise SDMError(
+            "the mask has voxels that are NaN, neither foreground nor background: give them a number first, 0 for "
+            "background"
+        )
+
+
 def _check_out(out: Any, shape: Sequence[int], device: torch.device) -> None:
     if (
         not isinstance(out, Tensor)
@@ -203,7 +217,7 @@ def _values(classes: Classes, labels: Tensor) -> list[int]:
         found = np.asarray(classes.cpu() if isinstance(classes, Tensor) else classes).reshape(-1).tolist()
     if not found:
         raise SDMError("there are no classes to measure: give their values, or labels that are not all 0")
-    if any(value != int(value) for value in found) or len(set(found)) < len(found):
+    if not all(float(value).is_integer() for value in found) or len(set(found)) < len(found):
         raise SDMError(f"classes are {found}: give whole numbers, each once")
     return [int(value) for value in found]
 

@@ -41,6 +41,20 @@ def test_the_longest_line():
     assert torch.equal(euclidean_distance_transform(mask).flatten(), torch.arange(32_767.0))
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_voxels_that_are_no_numbers(dtype):
+    mask = torch.zeros(3, 4, 5, dtype=dtype)
+    mask[0, 1, 2], mask[2, 1, 2] = 1, float("nan")
+    for given in (mask, mask.transpose(0, 2), mask[None, None], mask.double().numpy()):
+        for options in ({}, {"signed": True}, {"classes": [1]}, {"classes": "all"}, {"return_nearest": True}):
+            with pytest.raises(SDMError, match="are NaN"):
+                euclidean_distance_transform(given, **options)
+    mask[2, 1, 2] = float("inf")
+    assert euclidean_distance_transform(mask)[2, 1, 2] == 0
+    with pytest.raises(SDMError, match="whole numbers"):
+        euclidean_distance_transform(mask, classes="all")
+
+
 def test_an_unknown_surface():
     with pytest.raises(SDMError, match="'centres' or 'faces'"):
         euclidean_distance_transform(torch.zeros(3, 3, 3), surface="edges")
