@@ -223,12 +223,7 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
         return attempt_by_table(instead)
     if not isinstance(captured, TableRecording):
         return None, []
-    with captured.lock:
-        with _lock:
-            filled = captured.launch(call.fill, call.reads)
-        results: R = filled if call.launched is None else call.launched(filled)
-        right, said = captured.guessed_right()
-    return (results if right else None), said
+    return _launched(captured, call.fill, call.reads, (), call.launched)
 
 
 def kept(device: torch.device, key: Hashable) -> Kept | None:
@@ -256,12 +251,25 @@ def attempt_kept(
     recording = of.recording
     if not isinstance(recording, TableRecording):
         return None, []
+    return _launched(recording, fill, reads, about, launched, of.is_used)
+
+
+def _launched(
+    recording: TableRecording,
+    fill: Callable[..., Any],
+    reads: Tensors,
+    about: tuple[Any, ...],
+    launched: Callable[[Any], R] | None,
+    used: Callable[[], object] | None = None,
+) -> tuple[R | None, list[int]]:
+    """Launch a recording by table; its results, or None if its guess was wrong, and what it told."""
     with recording.lock:
         with _lock:
             filled = recording.launch(fill, reads, about)
-            # While the device is at work.
-            of.is_used()
-        results = launched(filled)
+            if used is not None:
+                # While the device is at work.
+                used()
+        results: R = filled if launched is None else launched(filled)
         right, said = recording.guessed_right()
     return (results if right else None), said
 
