@@ -28,7 +28,7 @@ from sdm.runtime.sharing.processes import run_here
 from sdm.runtime.sharing.ray_cluster import run_on_ray
 from sdm.runtime.sharing.share_out import processes_for
 from sdm.shapes import Family
-from sdm.stream import Sampler, as_sampler
+from sdm.stream import Sampler, as_sampler, sample_maker
 from sdm.stream.sample_maker import Maker
 
 # Files of one dataset: beyond, folders and the list of checksums are slower than the maps.
@@ -99,14 +99,7 @@ def generate(
     folder = layout.part_of(target)
     # The manifest takes no number of NumPy's.
     count, shard = int(count), None if shard is None else int(shard)
-    if count < 1:
-        raise SDMError(f"a dataset of {count} samples was requested; give at least 1")
-    if shard is not None and shard < 1:
-        raise SDMError(f"a shard of {shard} samples was requested; give at least 1")
-    if compression not in COMPRESSIONS:
-        raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
-    if dtype not in (torch.float32, torch.float16):
-        raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
+    check_options(count, dtype=dtype, shard=shard, compression=compression)
     devices = ["cpu"] if ray is not None else devices_for(device) if processes is None else processes
     # Refuses what makes no sense before anything is on the disk.
     signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
@@ -147,12 +140,59 @@ def generate(
     return target
 
 
-def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str, Any] | None) -> dict[str, Any]:
-    """Make the unfinished dataset, or take the one that is there if it is as `wanted`; its manifest."""
+def check_options(
+    count: int,
+    *,
+    dtype: torch.dtype = torch.float32,
+    shard: int | None = None,
+    compression: str = "zstd",
+    **of_stream: Any,
+) -> None:
+    """Refuse options of `generate` that make no sense whatever the family and the grid, before a shape is made.
+
+    Args:
+        count: As of `generate`.
+        dtype: As there.
+        shard: As there.
+        compression: As there.
+        of_stream: Those that streams have too.
+
+    Raises:
+        SDMError: A number, a name or a type that there is not.
+    """
+    if count < 1:
+        raise SDMError(f"a dataset of {count} samples was requested; give at least 1")
+    if shard is not None and shard < 1:
+        raise SDMError(f"a shard of {shard} samples was requested; give at least 1")
+    if compression not in COMPRESSIONS:
+        raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
+    if dtype not in (torch.float32, torch.float16):
+        raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
+    sample_maker.check_options(dtype=dtype, **of_stream)
+
+
+def check_place(target: Path, *, resume: bool = False) -> None:
+    """Refuse a place where no dataset can be begun, or with `resume` no unfinished one be gone on with.
+
+    Raises:
+        FormatError: It is taken, or its folder is not there.
+    """
+    folder = layout.part_of(target)
     if target.exists():
         raise FormatError(f"{target} is there already: choose another name, or remove it")
     if not target.parent.is_dir():
         raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
+    if not resume and folder.exists():
+        raise _unfinished(folder)
+
+
+def _unfinished(folder: Path) -> FormatError:
+    return FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
+
+
+def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str, Any] | None) -> dict[str, Any]:
+    """Make the unfinished dataset, or take the one that is there if it is as `wanted`; its manifest."""
+    check_place(target, resume=wanted is not None)
     if not folder.exists():
         try:
             layout.create(folder, manifest)
@@ -163,7 +203,7 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str
         else:
             return manifest
     if wanted is None:
-        raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
+        raise _unfinished(folder)
     found = read_manifest(folder)
     same(found, wanted, folder)
     return found

@@ -14,7 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.surface import Method
+from sdm.engine.surface import Method, check_method
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.inspect import inspect_mesh
 from sdm.inspect.positions import are_distinct
@@ -104,11 +104,7 @@ def watertight(
         SDMError: Options that make no sense, or a mesh thinner than a voxel with an offset of 0.
     """
     mesh = as_mesh(mesh)
-    if hidden not in get_args(Hidden):
-        raise SDMError(f"hidden is {hidden!r}; use 'drop' or 'keep'")
-    SignMethod("flood", hole_size)
-    if offset is not None and not (math.isfinite(offset) and offset >= 0):
-        raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
+    check_options(resolution, offset, hole_size, hidden, method)
     where = choose_device(device, mesh.vertices)
     closed, agreeing = closedness(mesh)
     grid = _grid(mesh, resolution, 0.0 if closed and offset is None else offset)
@@ -146,6 +142,29 @@ def watertight(
     )
 
 
+def check_options(
+    resolution: int, offset: float | None, hole_size: float | None, hidden: Hidden, method: Method
+) -> None:
+    """Refuse options of `watertight` that make no sense whatever the mesh.
+
+    Raises:
+        GridError: The resolution is too low.
+        SDMError: Another option that there is not, or a length that is none.
+    """
+    if hidden not in get_args(Hidden):
+        raise SDMError(f"hidden is {hidden!r}; use 'drop' or 'keep'")
+    check_method(method)
+    SignMethod("flood", hole_size)
+    if offset is not None and not (math.isfinite(offset) and offset >= 0):
+        raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
+    # A text or a truth value is no number of voxels, nor is NaN.
+    is_number = isinstance(resolution, int | float | np.number) and not isinstance(resolution, bool)
+    if not (is_number and resolution >= SMALLEST and resolution % 1 == 0):
+        raise GridError(
+            f"the resolution {resolution!r} is too low for a surface; give a whole number from {SMALLEST} on"
+        )
+
+
 def closedness(mesh: TriangleMesh) -> tuple[bool, bool]:
     """True for a mesh without a free edge or a face that is there twice; and True if its faces agree which side is out.
 
@@ -167,12 +186,6 @@ def _sign(by_winding: bool, hidden: Hidden) -> Sign:
 
 def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:
     """Cubic voxels around a mesh, with room for a surface at an offset; None for half a voxel."""
-    # A text or a truth value is no number of voxels, nor is NaN.
-    is_number = isinstance(resolution, int | float | np.number) and not isinstance(resolution, bool)
-    if not (is_number and resolution >= SMALLEST and resolution % 1 == 0):
-        raise GridError(
-            f"the resolution {resolution!r} is too low for a surface; give a whole number from {SMALLEST} on"
-        )
     low, high = mesh.bounds
     size = high - low
     voxels = resolution - 1 - 2 * BORDER - (2 * DEFAULT_OFFSET if offset is None else 0)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -82,6 +83,10 @@ def split_folder(
     if not all(0 < share < 1 for share in shares.values()) or sum(shares.values()) >= 1:
         told = " and ".join(f"{share:g} for {part}" for part, share in shares.items())
         raise SDMError(f"shares of {told} leave nothing for {REST}: give shares above 0 that sum to less than 1")
+    if not (math.isfinite(twins) and twins >= 0):
+        raise SDMError(f"twins are {twins:g} of their size apart; give a share of at least 0")
+    # Looked at before meshes are read and measured.
+    groups = {} if group is None else _by_expression(names, group)
     shapes, skipped = _shapes(names, files, torch.device(device))
     if not shapes:
         raise MeshError(
@@ -92,9 +97,10 @@ def split_folder(
     together = _Groups(len(order))
     for pair in found:
         together.join(pair.one, pair.other)
-    for members in _by_expression([names[n] for n in order], group):
-        for number in members[1:]:
-            together.join(members[0], number)
+    first: dict[str, int] = {}
+    for at, number in enumerate(order):
+        if number in groups:
+            together.join(first.setdefault(groups[number], at), at)
     kept = [names[n] for n in order]
     sizes = {part: max(1, round(share * len(kept))) for part, share in shares.items()}
     parts = split_groups([[kept[n] for n in own] for own in together.groups()], sizes, REST, seed=seed)
@@ -170,20 +176,19 @@ def _shapes(
     return shapes, skipped
 
 
-def _by_expression(names: Sequence[str], group: str | None) -> Iterator[list[int]]:
-    if group is None:
-        return
+def _by_expression(names: Sequence[str], group: str) -> dict[int, str]:
+    """For the number of each mesh what the expression finds in its path, alike for those that stay together."""
     try:
         expression = re.compile(group)
     except re.error as error:
         raise SDMError(f"{group!r} is no regular expression: {error}") from error
-    members: dict[str, list[int]] = {}
+    matches: dict[int, str] = {}
     for number, name in enumerate(names):
         found = expression.search(name)
         if found is None:
             raise SDMError(f"{group!r} matches nothing in {name}: every mesh needs a group")
-        members.setdefault(found[1] if expression.groups else found[0], []).append(number)
-    yield from members.values()
+        matches[number] = found[1] if expression.groups else found[0]
+    return matches
 
 
 class _Groups:

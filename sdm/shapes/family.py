@@ -20,6 +20,8 @@ from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes import sampling
 
+# Stands for shapes that are not made yet.
+UNIT_BOX = TriangleMesh(torch.tensor([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]], device="cpu"), [[0, 1, 2]], "a shape")
 # Shapes that decide how large a family's grid must be, besides the corners of its box.
 PROBES = 512
 MOST_CORNERS = 256
@@ -237,6 +239,7 @@ class Family(ABC):
 
     def grid(self, resolution: int = 64, *, margin: float = 0.05) -> Grid:
         """A cube of voxels that holds every shape of the family, with `margin` of its edge on each side."""
+        check_resolution(resolution, margin)
         low, high = self.bounds()
         corners = torch.stack([low, high, low])
         box = TriangleMesh(corners, torch.tensor([[0, 1, 2]], device="cpu"), self.name)
@@ -275,6 +278,15 @@ class Family(ABC):
     def __repr__(self) -> str:
         names = ", ".join(f"{p.name} {p.low:g}..{p.high:g} {p.unit}" for p in self.parameters)
         return f"{type(self).__name__}({names}; {self.triangles.shape[0]} triangles)"
+
+
+def check_resolution(resolution: int | Sequence[int], margin: float = 0.05) -> Grid:
+    """Refuse what is no resolution or margin around any shape, before one is made; the grid around one of edge 1.
+
+    Raises:
+        GridError: As of `Grid.around`.
+    """
+    return Grid.around(UNIT_BOX, resolution=resolution, margin=margin)
 
 
 def as_theta(theta: Tensor, width: int, name: str) -> Tensor:

@@ -80,15 +80,10 @@ class Maker:
         sign: Sign = "winding",
         hole_size: float | None = None,
     ) -> None:
-        self.signs = SignMethod(sign, hole_size)
         if not isinstance(family, Family):
             raise MeshError(f"{family!r:.80} is no family of shapes: sdm.shapes.load_family makes one of a name")
-        if not isinstance(seed, SupportsIndex):
-            raise SDMError(f"the seed is {seed!r}; give a whole number")
-        if dtype not in DTYPES:
-            raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
-        if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
-            raise SDMError(f"the truncation {truncate} must be a positive distance")
+        check_options(seed=seed, sampler=sampler, dtype=dtype, truncate=truncate, sign=sign, hole_size=hole_size)
+        self.signs = SignMethod(sign, hole_size)
         grid = family.grid(grid) if isinstance(grid, int) else as_grid(grid)
         if dtype == torch.float16:
             require_half_range(grid, diagonal_of(grid), truncate, "or truncate to less")
@@ -214,6 +209,30 @@ class Maker:
         for group in self.family.groups(theta, host):
             values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
         return values
+
+
+def check_options(
+    *,
+    seed: int = 0,
+    sampler: Sampler | str = "uniform",
+    dtype: torch.dtype = torch.float32,
+    truncate: float | None = None,
+    sign: Sign = "winding",
+    hole_size: float | None = None,
+) -> None:
+    """Refuse options of a `Maker` that make no sense whatever the family and the grid, before a shape is made.
+
+    Raises:
+        SDMError: A seed, a sampler, a type, a truncation or a sign that there is not.
+    """
+    SignMethod(sign, hole_size)
+    if not isinstance(seed, SupportsIndex):
+        raise SDMError(f"the seed is {seed!r}; give a whole number")
+    if dtype not in DTYPES:
+        raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
+    if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
+        raise SDMError(f"the truncation {truncate} must be a positive distance")
+    as_sampler(sampler)
 
 
 def refuse_fork(forked: bool) -> None:

@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,7 @@ def view(field: SDM, *, mesh: MeshLike | None = None, level: float = 0.0, pictur
             grid is one voxel thin.
         FormatError: The picture's name does not end in .png, or it cannot be written.
     """
-    if picture is not None and Path(picture).suffix.lower() != ".png":
-        raise FormatError(f"{picture} does not end in .png, the one kind of picture that a view can be")
+    check_view(picture)
     surface = as_mesh(mesh) if mesh is not None and level == 0.0 else field.to_mesh(level)
     polyscope = _started(window=picture is None)
     cut = _show_map(polyscope, field)
@@ -57,14 +57,24 @@ def view(field: SDM, *, mesh: MeshLike | None = None, level: float = 0.0, pictur
     polyscope.clear_user_callback()
 
 
+def check_view(picture: str | Path | None = None) -> None:
+    """Refuse a view that cannot be shown, or a picture of it that cannot be one, before a map is made for it.
+
+    Raises:
+        SDMError: Polyscope is not installed, or there is nowhere to open a window.
+        FormatError: The picture's name does not end in .png.
+    """
+    if picture is not None and Path(picture).suffix.lower() != ".png":
+        raise FormatError(f"{picture} does not end in .png, the one kind of picture that a view can be")
+    if find_spec("polyscope") is None:
+        raise SDMError("a view needs Polyscope, which is not installed: pip install '.[viewer]' in a clone")
+    if picture is None and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise SDMError("there is no display to open a window on: draw a picture (sdm view --out FILE.png)")
+
+
 def _started(*, window: bool) -> Any:
     """Polyscope, with nothing to show yet."""
-    try:
-        polyscope: Any = import_module("polyscope")
-    except ImportError:
-        raise SDMError("a view needs Polyscope, which is not installed: pip install '.[viewer]' in a clone") from None
-    if window and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise SDMError("there is no display to open a window on: draw a picture (sdm view --out FILE.png)")
+    polyscope: Any = import_module("polyscope")
     polyscope.set_verbosity(0)
     polyscope.set_program_name("sdm view")
     # Else it reads and writes a file in whatever folder this is.

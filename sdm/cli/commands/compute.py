@@ -176,6 +176,8 @@ def compute(
             file=sys.stderr,
         )
     jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
+    # All files of a folder have one format.
+    settings.check_format(jobs[0][1])
     # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like
     folder = out if out.is_dir() and not is_map_name(out) else None

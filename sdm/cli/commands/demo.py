@@ -43,12 +43,14 @@ def demo(
     from sdm.core.demo_mesh import demo_mesh
     from sdm.core.device import choose_device, require_memory
     from sdm.core.grid import Grid
-    from sdm.errors import FormatError
+    from sdm.errors import FormatError, GridError
     from sdm.io.meshes.write import write_ply
     from sdm.viz import picture
 
     mesh = demo_mesh()
     grid = Grid.around(mesh, resolution=resolution)
+    if resolution < 2:
+        raise GridError(f"--resolution is {resolution}; give at least 2, as the picture shows the map's surface")
     chosen = choose_device(device)
     # Before a folder is made, and before the small map that the demo begins with.
     require_memory(grid.nbytes, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")

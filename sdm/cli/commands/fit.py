@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from sdm.cli.common.argument_types import Device
+
+if TYPE_CHECKING:
+    from sdm.fit import FitOptions
 
 
 def fit(
@@ -82,17 +85,22 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
+    from sdm.cli.common.fit_progress import FitProgress
     from sdm.cli.common.fit_report import FitFiles, write_fit
     from sdm.cli.common.inputs import refuse_inputs
-    from sdm.cli.common.progress import StageProgress
+    from sdm.core.device import choose_device
     from sdm.errors import SDMError
     from sdm.fit import FitOptions, fit_shape
     from sdm.fit.model.backend import exact_of
     from sdm.fit.model.backends import make_backends
+    from sdm.fit.model.exact import TRIANGLES
 
     refuse_inputs([out, mesh, picture, residuals, free_form], [image, weights])
     _check_targets(out, [mesh, free_form], picture, residuals)
-    _check_formation(estimate_formation, model, components)
+    given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
+    options = FitOptions(**{name: value for name, value in given.items() if value is not None})
+    _check_estimates(estimate_blur, estimate_formation, options)
+    choose_device(device)
     files = FitFiles(out, mesh, picture, residuals, free_form)
     if points is not None or family is not None:
         from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
@@ -104,12 +112,9 @@ def fit(
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
         if points is not None:
-            _refuse_with_points(picture, residuals or free_form, estimate_formation, mirror)
+            _refuse_with_points(picture, residuals or free_form, estimate_blur or estimate_formation, mirror)
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
-        given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
-        if points is None and estimate_blur and model == "labels":
-            raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
         return fit_any_family(
             Path(str(image)), str(family), files, given, triangles, device,
             with_blur=estimate_blur, with_formation=estimate_formation, mirror=mirror,
@@ -117,17 +122,17 @@ def fit(
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
-    first, finish = make_backends(backend, triangles=triangles or 20_000, weights=weights, device=device, mirror=mirror)
-    lengths: dict[str, Any] = {n: x for n, x in (("blur", blur), ("fine", fine)) if x is not None}
-    options = FitOptions(model=model, components=components, turn=turn, **lengths)
-    with StageProgress() as progress:
+    first, finish = make_backends(
+        backend, triangles=TRIANGLES if triangles is None else triangles, weights=weights, device=device, mirror=mirror
+    )
+    with FitProgress(image, scan, options) as progress:
         result = fit_shape(
             scan.values,
             scan.grid,
             first,
             finish=finish,
             options=options,
-            report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
+            report=progress,
         )
     exact = finish or exact_of(first) or first
     if estimate_formation:
@@ -142,22 +147,27 @@ def fit(
     return None
 
 
-def _check_formation(wanted: bool, model: str, components: tuple[int, int]) -> None:
+def _check_estimates(blur: bool, formation: bool, options: FitOptions) -> None:
+    """Refuse before the fit what it could not go on with after it."""
     from sdm.errors import SDMError
 
-    if wanted and (model == "labels" or tuple(components) != (1, 1)):
+    if formation and (options.model == "labels" or tuple(options.components) != (1, 1)):
         raise SDMError("--estimate-formation is for --model partial-volume and --components 1 1")
+    if blur and options.model == "labels":
+        raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
+    if (blur or formation) and not options.blur > 0:
+        raise SDMError("--estimate-blur and --estimate-formation go on from --blur: give one above 0")
 
 
-def _refuse_with_points(picture: Path | None, residuals: Path | None, formation: bool, mirror: bool) -> None:
+def _refuse_with_points(picture: Path | None, residuals: Path | None, estimate: bool, mirror: bool) -> None:
     from sdm.errors import SDMError
 
     if picture is not None:
         raise SDMError("--picture is of an image's fit: leave it out with --points")
-    if residuals is not None or formation or mirror:
+    if residuals is not None or estimate or mirror:
         raise SDMError(
-            "--residuals, --free-form, --estimate-formation and --mirror are of an image's fit: leave them out with "
-            "--points"
+            "--residuals, --free-form, --estimate-blur, --estimate-formation and --mirror are of an image's fit: leave "
+            "them out with --points"
         )
 
 

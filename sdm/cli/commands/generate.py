@@ -11,6 +11,9 @@ import tyro
 from sdm.cli.common.argument_types import Device
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sdm.core.grid import Grid
     from sdm.shapes import Family
 
 
@@ -113,17 +116,14 @@ def generate(
 
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
-    from sdm.dataset.family_registry import is_family
+    from sdm.dataset.writer import check_options, check_place
     from sdm.errors import SDMError
     from sdm.io.files.stand_in import shown
     from sdm.runtime.pipeline.stage_times import StageTimes
+    from sdm.runtime.sharing.devices import devices_for
 
     if family is not None:
-        if source is not None:
-            raise SDMError(f"{source} and --family {family} both say what to generate: give one of them")
-        if not is_family(family):
-            raise SDMError(f"--family takes a family; give the folder of meshes in the first place: {family}")
-        source = family
+        source = _named(family, source)
     options = {
         "open_meshes": open_meshes,
         "orient": orient,
@@ -167,12 +167,15 @@ def generate(
         known = _describe(source, options)
     if count is None:
         raise SDMError("say how many samples: --count")
+    # Refused now is what can be before meshes are read and kernels compiled.
+    check_options(count, **asked)
+    if not (resume and out.exists()):
+        check_place(out, resume=resume)
+    if ray is None:
+        devices_for(device)
+    grid_of = _grid_of(begun, resolution, margin)
     shapes = _family(known, skip_bad or source is None, named=source is not None)
-    if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
-        grid = begun
-    else:
-        voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
-        grid = shapes.grid(voxels, margin=0.05 if margin is None else margin)
+    grid = grid_of(shapes)
     times = StageTimes()
     with CountProgress("maps", times) as progress:
         where: dict[str, Any] = {"device": device, "ray": ray, "resume": resume}
@@ -183,6 +186,43 @@ def generate(
         f"{grid.spacing[0]:.4g}, {written / 2**20:,.1f} MiB"
     )
     return None
+
+
+def _named(family: str, source: str | None) -> str:
+    """The family of --family.
+
+    Raises:
+        SDMError: Something else is named besides, or it is a folder.
+    """
+    from sdm.dataset.family_registry import is_family
+    from sdm.errors import SDMError
+
+    if source is not None:
+        raise SDMError(f"{source} and --family {family} both say what to generate: give one of them")
+    if not is_family(family):
+        raise SDMError(f"--family takes a family; give the folder of meshes in the first place: {family}")
+    return family
+
+
+def _grid_of(begun: Grid | None, resolution: int | None, margin: float | None) -> Callable[[Family], Grid]:
+    """The way from a family to its grid, which may be that of a dataset that was begun.
+
+    Raises:
+        GridError: No family has such a grid, or its map does not fit into memory.
+    """
+    import torch
+
+    from sdm.core.device import require_memory
+    from sdm.engine.arguments import described
+    from sdm.shapes.family import check_resolution
+
+    if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
+        return lambda _: begun
+    voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
+    room = 0.05 if margin is None else margin
+    cube = check_resolution(voxels, room)
+    require_memory(cube.nbytes, torch.device("cpu"), described(cube))
+    return lambda family: family.grid(voxels, margin=room)
 
 
 def _verify(source: str | None, options: dict[str, Any], out: Path, device: str, ray: str | None) -> int | None:

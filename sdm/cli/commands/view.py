@@ -38,6 +38,7 @@ def view(
     from sdm.errors import GridError
     from sdm.io import load, load_mesh
     from sdm.io.maps.formats import is_map_name
+    from sdm.viz.viewer import check_view
     from sdm.viz.viewer import view as show
 
     if is_map_name(file):
@@ -45,6 +46,7 @@ def view(
             raise GridError(f"{file} is a map, which has its own voxels: leave out --resolution")
         show(load(file), level=level, picture=out)
         return
+    check_view(out)
     mesh = load_mesh(file)
     field = signed_distance_map(
         mesh, Grid.around(mesh, resolution=96 if resolution is None else resolution), device=choose_device(device)

@@ -1,4 +1,4 @@
-"""Progress of long work on stderr: a bar on a terminal; of what is counted also a line now and then in a log."""
+"""Progress of long work on stderr: a bar on a terminal, and a line now and then in a log."""
 
 from __future__ import annotations
 
@@ -70,10 +70,20 @@ class _Bar:
 
 
 class StageProgress(_Bar):
-    """Names of the steps of work whose length is not known, beside the time that it has taken."""
+    """Names of the steps of work whose length is not known, beside the time that it has taken; called with each."""
 
     def __init__(self) -> None:
         super().__init__(elapsed=True, transient=True)
+        self._begun = self._logged = time.monotonic()
+
+    def __call__(self, stage: str, step: int, *_: object) -> None:
+        """A stage's step, by number; what else the work tells of it is left out."""
+        text, now = f"{stage}, step {step}", time.monotonic()
+        if self.on_terminal:
+            self.draw(text, 0, None)
+        elif now - self._logged >= LOG_INTERVAL:
+            print(f"sdm: {text}, {now - self._begun:.0f} s", file=sys.stderr, flush=True)
+            self._logged = now
 
 
 class FileProgress(_Bar):

@@ -16,8 +16,9 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
-from sdm.errors import FormatError, SDMError
+from sdm.errors import FormatError, GridError, SDMError
 from sdm.io.maps.half_precision import require_half_range
+from sdm.shapes.family import check_resolution
 
 DEFAULT_RESOLUTION = 128
 # Formats that have half precision, by their endings.
@@ -73,8 +74,19 @@ class Settings:
                 raise SDMError(
                     "a narrow band is cut at its width, in float32: --truncate, --normalize and --dtype are for maps"
                 )
+        if self.like is None:
+            self._check_grid()
         if self.truncate is not None and not (math.isfinite(self.truncate) and self.truncate > 0):
             raise SDMError(f"--truncate is {self.truncate:g}: give a positive length")
+
+    def _check_grid(self) -> None:
+        """Refuse what is no grid around any mesh."""
+        if self.spacing is None:
+            check_resolution(DEFAULT_RESOLUTION if self.resolution is None else self.resolution, self.margin)
+            return
+        if not all(math.isfinite(s) and s > 0 for s in np.atleast_1d(self.spacing).tolist()):
+            raise GridError(f"the grid's spacing {self.spacing} must be positive")
+        check_resolution(DEFAULT_RESOLUTION, self.margin)
 
     def grid(self, mesh: TriangleMesh) -> Grid:
         """The grid of a mesh's map."""
@@ -98,19 +110,27 @@ class Settings:
         """Refuse a file that cannot hold what is wanted.
 
         Raises:
-            FormatError: Half precision in a format that has none.
+            FormatError: As `check_format`.
             SDMError: Distances that half precision has no numbers for.
         """
+        self.check_format(target)
         if self.dtype == "float32":
             return
-        if not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):
-            raise FormatError(f"{target} cannot hold float16: use .{' or .'.join(WITH_HALF)}, or float32")
         # No voxel is further from the mesh than from any of its vertices, and the furthest from one is at a corner.
         vertex = mesh.vertices[int(mesh.faces[0, 0])].double().cpu().numpy()
         ends = np.array(list(itertools.product(*((0, n - 1) for n in grid.shape))))
         corners = ends @ grid.affine[:3, :3].T + grid.affine[:3, 3]
         reach = float(np.linalg.norm(corners - vertex, axis=1).max())
         require_half_range(grid, reach, self.truncate, "--truncate or --normalize")
+
+    def check_format(self, target: Path) -> None:
+        """Refuse half precision in a format that has none.
+
+        Raises:
+            FormatError: The file's is one.
+        """
+        if self.dtype != "float32" and not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):
+            raise FormatError(f"{target} cannot hold float16: use .{' or .'.join(WITH_HALF)}, or float32")
 
     @property
     def voxels(self) -> int | None:

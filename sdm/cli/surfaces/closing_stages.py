@@ -17,7 +17,7 @@ from sdm.io import load_mesh
 from sdm.io.maps.record import digest_of
 from sdm.io.meshes.write import save_mesh
 from sdm.remeshing import WatertightReport, watertight
-from sdm.remeshing.watertight import Hidden
+from sdm.remeshing.watertight import Hidden, check_options
 from sdm.runtime.host_copy import HostCopy
 
 # Bytes of vertices or faces above which they are not copied through pinned memory, which stays the process's.
@@ -34,6 +34,9 @@ class Closing:
     hidden: Hidden
     method: Method
     device: str
+
+    def __post_init__(self) -> None:
+        check_options(self.resolution, self.offset, self.hole_size, self.hidden, self.method)
 
     @property
     def how(self) -> str:

@@ -10,7 +10,7 @@ import torch
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.random import derive_seed
 from sdm.deepsdf.infer.code_file import ShapeCode
-from sdm.deepsdf.infer.estimate_codes import estimate_codes
+from sdm.deepsdf.infer.estimate_codes import check_steps, estimate_codes
 from sdm.deepsdf.infer.scan import Scan
 from sdm.deepsdf.networks.model import DeepSDF
 from sdm.deepsdf.samples import Samples, ShapeSet, UnitSphere
@@ -43,7 +43,9 @@ def encode_meshes(
 
     Raises:
         MeshError: No meshes, or one that is not closed.
+        SDMError: No steps.
     """
+    check_steps(steps)
     shapes = ShapeSet([as_mesh(mesh) for mesh in meshes], model.device, spheres=spheres)
     every = torch.arange(len(shapes), device=model.device)
 
@@ -80,9 +82,10 @@ def encode_scan(
         options: Those of `estimate_codes`.
 
     Raises:
-        SDMError: Fewer than 100 points, a point that is not finite, normals that do not fit, or a sphere that most of
-            the points are outside of.
+        SDMError: No steps, fewer than 100 points, a point that is not finite, normals that do not fit, or a sphere that
+            most of the points are outside of.
     """
+    check_steps(steps)
     at = model.check_points(points)
     if at.ndim != 2:
         raise SDMError(f"the scan has the shape {tuple(at.shape)}; (N, 3) is needed")

@@ -35,6 +35,16 @@ class Estimate:
     losses: Tensor
 
 
+def check_steps(steps: int) -> None:
+    """Refuse a search that takes no steps.
+
+    Raises:
+        SDMError: It is one.
+    """
+    if steps < 1:
+        raise SDMError(f"{steps} steps were requested; give 1 or more, 800 as published")
+
+
 def estimate_codes(
     model: DeepSDF,
     draw: Draw,
@@ -62,8 +72,7 @@ def estimate_codes(
     Raises:
         SDMError: No steps.
     """
-    if steps < 1:
-        raise SDMError(f"{steps} steps were requested; give 1 or more, 800 as published")
+    check_steps(steps)
     settings = model.settings
     published = settings.variant == "published"
     rate = (5e-3 if published else 2e-2) if rate is None else rate

@@ -16,6 +16,16 @@ from sdm.errors import SDMError
 Method = Literal["cubes", "dual"]
 
 
+def check_method(method: Method) -> None:
+    """Refuse a method that there is not.
+
+    Raises:
+        SDMError: It is one.
+    """
+    if method not in get_args(Method):
+        raise SDMError(f"method is {method!r}; use 'cubes' (marching cubes) or 'dual' (dual contouring)")
+
+
 def isosurface(field: SDM, level: float, method: Method, mesh: Any) -> TriangleMesh:
     """The surface of a dense map, see `SDM.to_mesh`."""
     if min(field.shape) < 2:
@@ -44,8 +54,7 @@ def band_isosurface(band: SparseSDM, level: float, method: Method, mesh: Any) ->
 def _surface(
     blocks: VoxelBlocks, field: SDM | SparseSDM, level: float, method: Method, mesh: Any
 ) -> TriangleMesh | None:
-    if method not in get_args(Method):
-        raise SDMError(f"method is {method!r}; use 'cubes' (marching cubes) or 'dual' (dual contouring)")
+    check_method(method)
     if method == "dual":
         return dual_contouring(blocks, field, level, mesh)
     if mesh is not None:

@@ -20,6 +20,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.errors import FormatError, MeshError
+from sdm.shapes.family import check_resolution
 from sdm.shapes.models.even_template import even_template
 from sdm.shapes.models.lay_template import TemplateLayer
 from sdm.shapes.models.measures import compactness
@@ -99,12 +100,17 @@ def build_sdm_modes(
         resolution: Voxels along the longest edge of the grid.
         device: Where to work.
         progress: Called with the number of meshes done and of all.
+
+    Raises:
+        GridError: Another resolution than a number of voxels.
+        MeshError: Too few meshes, or more modes than they have.
     """
     if len(meshes) < 3:
         raise MeshError(f"a shape model needs three meshes or more, not {len(meshes)}")
     if modes is not None and not 1 <= modes < len(meshes):
         raise MeshError(f"{modes} modes of {len(meshes)} meshes were requested; give 1 to {len(meshes) - 1}")
     where = choose_device(device)
+    check_resolution(resolution)
     placed = place_alike(meshes, where, scale=scale)
     every = torch.cat([mesh.vertices for mesh in placed])
     grid = Grid.around(TriangleMesh(every, placed[0].faces, check=False), resolution=resolution, margin=0.1)

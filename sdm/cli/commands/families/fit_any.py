@@ -38,8 +38,8 @@ def fit_any_family(
         mirror: Fit mirror images of the family's shapes.
     """
     import sdm
+    from sdm.cli.common.fit_progress import FitProgress
     from sdm.cli.common.fit_report import write_fit
-    from sdm.cli.common.progress import StageProgress
     from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
     if is_network(name):
@@ -51,7 +51,7 @@ def fit_any_family(
     fitted = shapes_to_fit(name, triangles, device, mirror=mirror)
     scan = sdm.load(image)
     options = usual_options(scan.grid, fitted.factor, **given)
-    with StageProgress() as progress:
+    with FitProgress(image, scan, options) as progress:
         result = fit_scaled(
             scan.values,
             scan.grid,
@@ -60,7 +60,7 @@ def fit_any_family(
             options=options,
             with_blur=with_blur,
             with_formation=with_formation,
-            report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
+            report=progress,
         )
     write_fit(files, scan, fitted.backend(1.0), result, blur=options.blur, unit=fitted.unit)
 

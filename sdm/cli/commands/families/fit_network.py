@@ -22,8 +22,8 @@ def fit_network(
 ) -> None:
     """Fit a DeepSDF to an image, and write files; the arguments are those of `fit_any_family`."""
     import sdm
+    from sdm.cli.common.fit_progress import FitProgress
     from sdm.cli.common.fit_report import write_fit
-    from sdm.cli.common.progress import StageProgress
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
     from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf
@@ -32,7 +32,7 @@ def fit_network(
     model = DeepSDF.load(name, device)
     scan = sdm.load(image)
     options = usual_options(scan.grid, factor_of_model(model), **given)
-    with StageProgress() as progress:
+    with FitProgress(image, scan, options) as progress:
         fit = fit_deepsdf(
             scan.values,
             scan.grid,
@@ -40,7 +40,7 @@ def fit_network(
             options=options,
             with_blur=with_blur,
             with_formation=with_formation,
-            report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
+            report=progress,
         )
     backend = DeepSDFBackend(model)
     surface = None if fit.code is None else partial(fit.code.mesh, backend)

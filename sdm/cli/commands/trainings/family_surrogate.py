@@ -22,16 +22,20 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
     from sdm.io.files.atomic import replacing
     from sdm.io.files.json_file import write_json
     from sdm.shapes import family_record, load_family
+    from sdm.shapes.family import check_resolution
     from sdm.surrogate.families.family_card import measure_card
     from sdm.surrogate.families.family_file import save_family_surrogate
     from sdm.surrogate.families.train_family import exact_maps, train_family
+    from sdm.training.budget import check_budget
     from sdm.training.checkpoints import training_folder
     from sdm.viz.card_sheet import card_sheet
 
     if budget_s is None:
         raise SDMError("say how long to train: --budget-s")
-    family = load_family(name)
+    check_budget(budget_s)
+    check_resolution(resolution)
     where = choose_device(device)
+    family = load_family(name)
     with training_folder(out):
         grid = family.grid(resolution)
         model, grid = train_family(

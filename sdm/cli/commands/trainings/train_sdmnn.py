@@ -132,11 +132,12 @@ def sdmnn(
     if start is not None:
         # Before a folder is made for it.
         begin(settings)
+    where = choose_device(device)
     # An unfinished training is gone on with by itself.
     with training_folder(curves):
         trainer = Trainer(
             settings,
-            device=choose_device(device),
+            device=where,
             checkpoint=out / f"{name}.checkpoint" if checkpoint is None else checkpoint,
             curves=curves,
             report=lambda line: print(line, flush=True),
