@@ -17,6 +17,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
 from sdm.errors import FormatError, GridError, SDMError
+from sdm.io.bands.save_and_load import check_band_target
 from sdm.io.maps.half_precision import require_half_range
 from sdm.shapes.family import check_resolution
 
@@ -124,11 +125,15 @@ class Settings:
         require_half_range(grid, reach, self.truncate, "--truncate or --normalize")
 
     def check_format(self, target: Path) -> None:
-        """Refuse half precision in a format that has none.
+        """Refuse a format that has no room for what is wanted, whatever the mesh.
 
         Raises:
-            FormatError: The file's is one.
+            FormatError: Half precision, a narrow band or a normalisation in a format that has none.
         """
+        if self.normalize is not None and target.name.lower().endswith(".nvdb"):
+            raise FormatError("a .nvdb file has no room for what a mesh was normalised by: use another format")
+        if self.band is not None:
+            check_band_target(target)
         if self.dtype != "float32" and not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):
             raise FormatError(f"{target} cannot hold float16: use .{' or .'.join(WITH_HALF)}, or float32")
 

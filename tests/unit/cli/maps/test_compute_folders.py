@@ -143,6 +143,19 @@ def test_what_cannot_be_is_refused(shapenet, tmp_path, capsys):
     assert not list(tmp_path.glob("x.*"))
 
 
+def test_a_format_without_room_is_refused_before_any_mesh_is_read(shapenet, tmp_path, capsys):
+    for words, said in (
+        (["--format", "nvdb", "--normalize", "cube"], "no room for what a mesh was normalised by"),
+        (["--format", "vti", "--dtype", "float16"], "cannot hold float16"),
+        (["--format", "nii", "--band", "3"], "narrow band"),
+    ):
+        assert run(shapenet, "-o", tmp_path / "maps", *SMALL, *words, "--skip-bad") == 2
+        captured = capsys.readouterr()
+        assert said in captured.err
+        assert (len(captured.err.splitlines()), captured.out) == (1, "")
+    assert not [path for path in (tmp_path / "maps").rglob("*") if path.is_file()]
+
+
 def test_a_mesh_far_from_the_image_is_too_far_for_half_precision(shapenet, tmp_path, capsys):
     """The grid is small, but distances on it are not: they came to be infinite in the file."""
     source = shapenet / "02691156/bb/models/model_normalized.obj"
