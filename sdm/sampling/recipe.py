@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from sdm.core.normalization import Normal
-from sdm.engine.arguments import Sign
+from sdm.engine.arguments import Orient, Sign
 from sdm.errors import FormatError
 from sdm.io.files.atomic import put
 from sdm.sampling.law import SampleLaw
@@ -28,6 +28,7 @@ class Recipe:
     hole_size: float | None = None
     closest: bool = False
     open_meshes: str = "reject"
+    orient: Orient = "auto"
 
     def claim(self, folder: Path, names: list[str], parts: dict[str, list[int]] | None = None, *, resume: bool) -> None:
         """Write the recipe into a folder, or see that the one that is there is this.
@@ -50,8 +51,9 @@ class Recipe:
             put(path, (json.dumps(wanted, indent=1) + "\n").encode())
             return
         try:
-            found = json.loads(path.read_text())
-        except (OSError, ValueError):
+            # Recipes of before say nothing about faces.
+            found = {"orient": "auto", **json.loads(path.read_text())}
+        except (OSError, ValueError, TypeError):
             raise FormatError(f"{path} is damaged: remove the folder, and sample again") from None
         if not resume:
             raise FormatError(f"{folder} holds samples already: --resume goes on with them, or choose another name")

@@ -171,11 +171,10 @@ class FolderSampling:
         mesh = load_mesh(task.source)
         by = None if self._recipe.normalize is None else Normalization.of(mesh, self._recipe.normalize)
         mesh = mesh if by is None else by.normalised(mesh)
-        if self._recipe.sign != "winding":
-            closed = look_at(mesh).is_closed(mesh)
-            return _Read(task, mesh, by, closed, time.perf_counter() - start)
-        mesh = oriented(mesh, "auto", self._device)
+        mesh = oriented(mesh, self._recipe.orient, self._device)
         closed = look_at(mesh).is_closed(mesh)
+        if self._recipe.sign != "winding":
+            return _Read(task, mesh, by, closed, time.perf_counter() - start)
         if not closed and self._recipe.open_meshes == "reject":
             raise MeshError(
                 f"{task.source} is not closed, so its inside is not defined: --sign flood closes it, --open-meshes "

@@ -46,6 +46,7 @@ def sample(
     open_meshes: Annotated[
         Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
     ] = None,
+    orient: Literal["auto", "parts", "keep"] = "auto",
     seed: int = 0,
     device: Device = "auto",
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
@@ -54,7 +55,7 @@ def sample(
 ) -> int | None:
     """Write training samples of meshes: points near the surface, in a box and on it, with exact signed distances.
 
-    Meshes that are inside out are turned. The same seed gives the same samples, whatever else is in the folder. Writes
+    The same seed gives the same samples, whatever else is in the folder. Writes
     OUT/report.json about every mesh. A bad mesh stops no other; the exit code is then 2.
 
     Args:
@@ -82,6 +83,8 @@ def sample(
             for meshes with holes or whose faces look all ways; none writes unsigned distances.
         hole_size: With --sign flood, the ball's diameter, in the normalised unit: narrower gaps are closed.
         open_meshes: With --sign winding, what to do with meshes that have holes.
+        orient: auto turns components that are inside out; parts turns every patch of faces outward by what sees it from
+            outside; keep takes meshes as they are. Normals face as faces then do.
         seed: Whole number that the samples depend on, besides the mesh's path below the folder.
         device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none. Of few meshes
             one GPU makes all.
@@ -104,6 +107,7 @@ def sample(
         hole_size=hole_size,
         open_meshes=open_meshes,
         seed=seed,
+        orient=orient,
     )
     more = {"dataset": dataset, "split": split, "device": device, "devices": devices_for(device), "ray": ray}
     return run(meshes, out, layout, options, **more, resume=resume, skip_bad=skip_bad)

@@ -13,7 +13,7 @@ from sdm.cli.maps.run import sum_up
 from sdm.cli.maps.sample_job import SampleJob, entry_of
 from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
-from sdm.engine.arguments import Sign, SignMethod
+from sdm.engine.arguments import Orient, Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
 from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.stand_in import known, shown
@@ -49,6 +49,7 @@ class SampleOptions:
     hole_size: float | None
     open_meshes: str | None
     seed: int
+    orient: Orient = "auto"
 
     def recipe(self, name: str, layout: Layout) -> Recipe:
         """All that samples depend on, for a layout."""
@@ -78,6 +79,7 @@ class SampleOptions:
             hole_size=self.hole_size,
             closest=self.closest,
             open_meshes=self.open_meshes or "reject",
+            orient=self.orient,
         )
 
     def _law(self, law: SampleLaw) -> SampleLaw:

@@ -250,6 +250,30 @@ def test_sheets_by_a_flood_and_unsigned(shapes, tmp_path):
     assert len(rows["neg"]) == 0
 
 
+@pytest.mark.parametrize("sign", ["winding", "flood"])
+def test_faces_that_disagree_are_turned_as_in_a_single_call(sign, shapes, tmp_path, capsys):
+    """A sentence that names an option names one that there is, and samples are those of a single call."""
+    flipped = tmp_path / "in" / "flipped.off"
+    flipped.parent.mkdir()
+    mesh = sdm.load_mesh(shapes / "02691156/aa/models/model_normalized.obj")
+    faces = mesh.faces.clone()
+    faces[::3] = faces[::3].flip(1)
+    sdm.save_mesh(sdm.TriangleMesh(mesh.vertices, faces), flipped)
+    words = [flipped.parent, "--sign", sign, "--layout", "zarr", "-o"]
+    if sign == "winding":
+        assert run(*words, tmp_path / "keep", "--orient", "keep", "--open-meshes", "keep") == 2
+        assert "--orient parts" in capsys.readouterr().err
+    for orient in ("auto", "parts"):
+        assert run(*words, tmp_path / orient, "--orient", orient) == 0
+        alone = sample(flipped, COUNT, name="flipped", device="cpu", sign=sign, orient=orient)
+        points, distances = read_zarr(tmp_path / orient, 0)
+        np.testing.assert_array_equal(points, alone.points.numpy())
+        np.testing.assert_array_equal(distances, alone.distances.numpy())
+        assert (distances < 0).any()
+    assert run(*words, tmp_path / "auto", "--orient", "parts", "--resume") == 2
+    assert "samples of another orient" in capsys.readouterr().err
+
+
 def test_samples_of_the_surface_alone_and_very_few(shapes, tmp_path, capsys):
     """Nothing of what lies on a surface is inside it, which is no reason to say that it encloses nothing."""
     words = [shapes / "02691156", "-o", tmp_path / "s", "--near", "0", "--uniform", "0", "--surface", "1"]
