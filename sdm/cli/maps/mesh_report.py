@@ -9,6 +9,8 @@ from typing import Any
 from sdm.io.files.json_file import write_json
 
 VERSION = 1
+# Of the column of names in the table: a single long one does not push all reasons off the screen.
+WIDEST = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +59,7 @@ def failures_table(entries: list[MeshEntry]) -> list[str]:
     failed = [entry for entry in entries if entry.state == "failed"]
     counts = {state: sum(entry.state == state for entry in entries) for state in ("done", "there already", "failed")}
     warned = sum(bool(entry.warnings) for entry in entries)
-    width = max((len(entry.mesh) for entry in failed), default=0)
+    width = min(WIDEST, max((len(entry.mesh) for entry in failed), default=0))
     lines = [f"{entry.mesh:<{width}}  {entry.reason}" for entry in failed]
     said = ", ".join(f"{count:,} {state}" for state, count in counts.items() if count or state == "done")
     return [*lines, f"{len(entries):,} meshes: {said}{f', {warned:,} with warnings' if warned else ''}"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,6 +126,8 @@ def run(
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
     if out.exists() and not out.is_dir():
         raise FormatError(f"{shown(out)} is a file: name a folder for the samples")
+    if dataset is not None and (Path(dataset).name != dataset or dataset == ".."):
+        raise SDMError(f"--dataset {dataset} is no name of a folder: give one without {os.sep}")
     roots = [path for path in meshes if path.is_dir()]
     sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
     named = dataset or (roots[0].resolve().name if roots else "meshes")

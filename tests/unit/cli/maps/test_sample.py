@@ -296,6 +296,10 @@ def test_bad_input_is_one_sentence(shapes, tmp_path, capsys):
     for words, said in (
         ([tmp_path], "no mesh was found"),
         ([shapes, "--near", "0", "--uniform", "0"], "is no law"),
+        # They would lead out of the folder that is written.
+        ([shapes, "--dataset", "../../other"], "is no name of a folder"),
+        ([shapes, "--dataset", ".."], "is no name of a folder"),
+        ([shapes, "--dataset", "/tmp/other"], "is no name of a folder"),
         ([shapes, "--closest"], "no place for closest points"),
         ([shapes, "--layout", "occupancy", "--sign", "none"], "tells what is inside"),
         ([shapes, "--hole-size", "1"], "hole_size"),
