@@ -54,6 +54,9 @@ def mesh_to_sdf(
         sample_point_count: Not used.
         normal_sample_count: Not used.
         device: Where to compute; by default a GPU if there is one.
+
+    Raises:
+        MeshError: The points are not (N,3), or the mesh is none.
     """
     points = np.asarray(query_points)
     if points.ndim != 2 or points.shape[1] != 3:

@@ -32,6 +32,9 @@ def boundary_loss(
 
     Returns:
         A scalar.
+
+    Raises:
+        SDMError: Shapes that do not fit together, or another surface.
     """
     if distance is None:
         if probability.shape != target.shape:

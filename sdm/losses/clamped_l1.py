@@ -21,6 +21,9 @@ def clamped_l1_loss(prediction: Tensor, target: Tensor, *, delta: float = 0.1) -
 
     Returns:
         A scalar.
+
+    Raises:
+        SDMError: A delta that is not positive, or shapes that do not fit together.
     """
     if delta <= 0:
         raise SDMError(f"delta must be positive, not {delta}")

@@ -21,6 +21,9 @@ def cross_entropy_loss(logits: Tensor, target: Tensor, *, weight: Tensor | None 
 
     Returns:
         A scalar.
+
+    Raises:
+        SDMError: Shapes that do not fit together, or not a weight for each class.
     """
     classes = max(2, logits.shape[1])
     if weight is not None and weight.shape != (classes,):

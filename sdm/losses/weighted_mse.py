@@ -22,6 +22,9 @@ def inverse_weighted_mse_loss(prediction: Tensor, target: Tensor, *, epsilon: fl
 
     Returns:
         A scalar.
+
+    Raises:
+        SDMError: An epsilon that is not positive, or shapes that do not fit together.
     """
     if epsilon <= 0:
         raise SDMError(f"epsilon must be positive, not {epsilon}: on the surface the weight is 1 / epsilon")
@@ -35,6 +38,9 @@ def clipped_sdf(distance: Tensor, limit: float = 5.0) -> Tensor:
     Args:
         distance: Signed distances of any shape. Infinite ones are clipped like any other.
         limit: Clipping distance in the distances' unit; Juhl's is 5.
+
+    Raises:
+        SDMError: A limit that is not positive.
     """
     if limit <= 0:
         raise SDMError(f"the clipping distance must be positive, not {limit}")

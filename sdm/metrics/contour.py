@@ -22,6 +22,9 @@ def contour_dice(prediction: Mask, truth: Mask, width: int = 5) -> float:
 
     Returns:
         0 to 1; 0 where one of the masks is empty, NaN where both are or where the truth, being full, has no contour.
+
+    Raises:
+        SDMError: Another width, or masks that do not fit together.
     """
     if width < 3 or width % 2 == 0:
         raise SDMError(f"the band's cube must be an odd number of voxels wide, at least 3, not {width}")

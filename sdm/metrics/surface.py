@@ -23,17 +23,47 @@ def hausdorff_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing, perce
     """The larger of the two directions' percentiles of surface distances in mm: the 95 % Hausdorff distance.
 
     As in MONAI. Percentiles are interpolated linearly; 100 is the Hausdorff distance itself.
+
+    Args:
+        prediction: (x,y,z), foreground not zero.
+        truth: (x,y,z), foreground not zero.
+        spacing_mm: Size of a voxel along each axis [mm].
+        percentile: 0 to 100.
+
+    Returns:
+        Infinite where one of the masks is empty, NaN where both are.
+
+    Raises:
+        SDMError: Another percentile, or masks that do not fit together.
     """
     return hausdorff_of(surface_distances(prediction, truth, spacing_mm), percentile)
 
 
 def average_surface_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing) -> float:
-    """Average symmetric surface distance in mm: the mean over all surface voxels of both masks."""
+    """Average symmetric surface distance in mm: the mean over all surface voxels of both masks.
+
+    Args:
+        prediction: (x,y,z), foreground not zero.
+        truth: (x,y,z), foreground not zero.
+        spacing_mm: Size of a voxel along each axis [mm].
+
+    Returns:
+        Infinite where one of the masks is empty, NaN where both are.
+    """
     return average_of(surface_distances(prediction, truth, spacing_mm))
 
 
 def rms_surface_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing) -> float:
-    """Root mean square symmetric surface distance in mm, over all surface voxels of both masks."""
+    """Root mean square symmetric surface distance in mm, over all surface voxels of both masks.
+
+    Args:
+        prediction: (x,y,z), foreground not zero.
+        truth: (x,y,z), foreground not zero.
+        spacing_mm: Size of a voxel along each axis [mm].
+
+    Returns:
+        Infinite where one of the masks is empty, NaN where both are.
+    """
     return rms_of(surface_distances(prediction, truth, spacing_mm))
 
 

@@ -193,7 +193,18 @@ class Family(ABC):
         sampler: str = "uniform",
         device: torch.device | str | None = None,
     ) -> Tensor:
-        """theta (count,P) of the samples number `start` to `start + count - 1`: see `sample_at`."""
+        """theta (count,P) of the samples number `start` to `start + count - 1`.
+
+        Args:
+            count: How many.
+            seed: Any whole number.
+            start: Number of the first.
+            sampler: As for `sample_at`.
+            device: Of the result; by default a GPU if there is one.
+
+        Raises:
+            MeshError: A count or a start below 0, or another sampler.
+        """
         if count < 0 or start < 0:
             raise MeshError(f"{count} samples from number {start} were requested; both are at least 0")
         where = choose_device(device)
@@ -215,7 +226,13 @@ class Family(ABC):
         return self.from_unit(sampling.draw(sampler, own, numbers, len(self.parameters)))
 
     def grid_samples(self, per_axis: int, *, device: torch.device | str | None = None) -> Tensor:
-        """theta (per_axis^P, P) of the tensor grid over the box, its faces included: 625 for 5 and 4 parameters."""
+        """theta (per_axis^P, P) of the tensor grid over the box, its faces included: 625 for 5 and 4 parameters.
+
+        On `device`, by default a GPU if there is one.
+
+        Raises:
+            MeshError: Fewer than 2 points for each axis, or too many in all.
+        """
         unit = sampling.grid(per_axis, len(self.parameters))
         return self.from_unit(unit.to(choose_device(device)))
 
@@ -238,7 +255,15 @@ class Family(ABC):
         return torch.stack(lows).amin(0), torch.stack(highs).amax(0)
 
     def grid(self, resolution: int = 64, *, margin: float = 0.05) -> Grid:
-        """A cube of voxels that holds every shape of the family, with `margin` of its edge on each side."""
+        """A cube of voxels that holds every shape of the family.
+
+        Args:
+            resolution: Voxels along each axis.
+            margin: Room on each side, as a share of the longest edge of the box around all shapes.
+
+        Raises:
+            GridError: Another resolution than a number of voxels, or a margin below 0.
+        """
         check_resolution(resolution, margin)
         low, high = self.bounds()
         corners = torch.stack([low, high, low])

@@ -196,7 +196,11 @@ class SDMStream(IterableDataset[Batch]):
         return self._maker.make_several(*drawn.take(steps))
 
     def sample(self, index: int | list[int] | torch.Tensor) -> Batch:
-        """The samples with these global numbers, as the stream gives them, whatever its position."""
+        """The samples with these global numbers, as the stream gives them, whatever its position.
+
+        Raises:
+            SDMError: No number, or one below 0.
+        """
         numbers = torch.as_tensor(index, dtype=torch.int64, device="cpu").reshape(-1)
         if not len(numbers):
             raise SDMError("no sample was requested; give the number of one, or more")

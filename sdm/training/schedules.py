@@ -49,6 +49,9 @@ def stepwise(first: float, change: float, every: float, last: float) -> Schedule
 
     `stepwise(1.0, -0.01, steps_per_epoch, 0.01)` is the rebalancing of Kervadec et al. (boundary loss, 2019), which
     Ma's study uses for the boundary and the Hausdorff losses: the region loss's weight falls by 0.01 an epoch.
+
+    Raises:
+        SDMError: The weight never gets to `last`, or the steps are not positive.
     """
     _check(every)
     if change == 0 or (last - first) * change < 0:

@@ -42,7 +42,22 @@ def decode_mesh(
 def decode_near_surface(
     model: DeepSDF, code: Any, *, sphere: UnitSphere | None = None, resolution: int = 256, chunk: int = CHUNK
 ) -> SDM:
-    """As `decode_mesh`, but the map: decoded near the surface, with the right sign everywhere, cut to where it is."""
+    """The map of a code: decoded near the surface, with the right sign everywhere, cut to the box around its inside.
+
+    Args:
+        model: A trained model.
+        code: (D,) or (1,D).
+        sphere: Where the shape was; by default the unit sphere.
+        resolution: Voxels along each axis of the sphere's box, of which the box is cut.
+        chunk: Points that go through the network at a time.
+
+    Returns:
+        The map, negative inside, in the sphere's unit. Further from the surface than a few voxels its sign alone counts.
+
+    Raises:
+        GridError: A resolution below 16.
+        SDMError: The code has no surface, or is another model's.
+    """
     z = model.check_codes(code)
 
     @torch.no_grad()

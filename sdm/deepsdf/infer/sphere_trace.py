@@ -51,7 +51,18 @@ def sphere_trace(model: DeepSDF, code: Any, origins: Tensor, directions: Tensor)
 
 
 def render(model: DeepSDF, code: Any, *, size: int = 256, elevation: float = 30.0, azimuth: float = -60.0) -> Tensor:
-    """A picture (size,size,3) in [0,1] of a code's surface, from a direction in degrees, in parallel projection."""
+    """A picture (size,size,3) in [0,1] of a code's surface, in parallel projection.
+
+    Args:
+        model: A trained model.
+        code: (D,).
+        size: Pixels along each axis.
+        elevation: Of the eye above the plane of x and y [degrees].
+        azimuth: Of the eye about z, from x on [degrees].
+
+    Raises:
+        SDMError: No pixels, or a code of another model.
+    """
     if size < 1:
         raise SDMError(f"a picture of {size} pixels was requested; give 1 or more")
     eye, right, up = _camera(elevation, azimuth, model.device)
@@ -69,7 +80,18 @@ def render(model: DeepSDF, code: Any, *, size: int = 256, elevation: float = 30.
 
 
 def interpolation_strip(model: DeepSDF, first: Any, last: Any, *, count: int = 7, size: int = 192) -> Tensor:
-    """Pictures (size, count * size, 3) of codes on the straight line between two codes (D,), ends included."""
+    """Pictures (size, count * size, 3) of codes on the straight line between two codes (D,), ends included.
+
+    Args:
+        model: A trained model.
+        first: The code to begin with.
+        last: The code to end with.
+        count: Pictures, at least 2.
+        size: Pixels of one along each axis.
+
+    Raises:
+        SDMError: Fewer pictures, or a code of another model.
+    """
     if count < 2:
         raise SDMError(f"a strip of {count} pictures has no ends; give 2 or more")
     a, b = model.check_codes(first)[0], model.check_codes(last)[0]

@@ -127,7 +127,10 @@ class DeepSDF:
         return values.reshape(at.shape[:-1]) * (1.0 if sphere is None else sphere.radius)
 
     def normals(self, points: Any, code: Any, sphere: UnitSphere | None = None) -> Tensor:
-        """Unit outward normals (...,3) at points (...,3) of the surface, by back-propagation through the network."""
+        """Unit outward normals (...,3) at points (...,3) of the surface, by back-propagation through the network.
+
+        `code` and `sphere` are those of `signed_distance`.
+        """
         with torch.enable_grad():
             at = self.check_points(points).detach().requires_grad_()
             values = self.signed_distance(at, self.check_codes(code).detach(), sphere)
@@ -146,7 +149,10 @@ class DeepSDF:
         return Slopes(values[0].detach(), by_point[0], tuple(part[0] for part in by_seen))
 
     def signed_distance_map(self, grid: GridLike, code: Any, sphere: UnitSphere | None = None) -> Any:
-        """The learned map of a whole grid, an `SDM`; see `signed_distance`."""
+        """The learned map of a whole grid, an `SDM`, negative inside, in the sphere's unit.
+
+        `code` and `sphere` are those of `signed_distance`.
+        """
         from sdm.core.signed_distance_map import SDM
 
         grid = as_grid(grid)

@@ -113,7 +113,11 @@ class StatisticalShape(Family):
         return (vertices.flatten(1) - mean) @ modes.T / deviations.clamp_min(1e-30)
 
     def truncated(self, modes: int) -> StatisticalShape:
-        """The model of the first `modes` modes alone."""
+        """The model of the first `modes` modes alone.
+
+        Raises:
+            MeshError: It has not so many, or none is asked for.
+        """
         if not 1 <= modes <= len(self.modes):
             raise MeshError(f"{modes} modes of {len(self.modes)} were requested")
         kept = (self.mean, self.modes[:modes], self.deviations[:modes], self.triangles)

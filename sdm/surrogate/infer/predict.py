@@ -80,7 +80,11 @@ class Predictor:
         return self._run(self._family.check(theta).cpu())
 
     def predict(self, theta: Any) -> SDM:
-        """The map of one theta (4,)."""
+        """The map of one theta (4,), in mm, negative inside.
+
+        Raises:
+            MeshError: Several samples, or parameters outside the box that the surrogate was trained on.
+        """
         values = self.maps(theta)
         if len(values) != 1:
             raise MeshError(f"theta holds {len(values)} samples; predict() takes one: use maps() for a batch")
