@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Sample points from which on a fit is slow: an image of one cochlea and a little around has some 300,000.
 MANY_POINTS = 4_000_000
 # Steps of most fits to the image itself, after those to a coarse one.
-USUAL_STEPS = 10
+USUAL_STEPS = "10 to 20"
 
 
 class FitProgress(StageProgress):
@@ -44,6 +44,8 @@ class FitProgress(StageProgress):
     def __enter__(self) -> Self:
         if self._notice is not None:
             print(f"sdm: {self._name}: {self._notice}", file=sys.stderr, flush=True)
+        # The search for a place to begin tells of no steps.
+        self.draw("start", 0, None)
         return super().__enter__()
 
     def __call__(self, stage: str, step: int, *more: object) -> None:
@@ -57,7 +59,7 @@ class FitProgress(StageProgress):
             seconds = time.monotonic() - self._first
             self._notice = None
             print(
-                f"sdm: {self._name}: a step takes about {seconds:.2g} s, and most fits some {USUAL_STEPS} of them",
+                f"sdm: {self._name}: a step takes about {seconds:.2g} s, and most fits {USUAL_STEPS} of them",
                 file=sys.stderr,
                 flush=True,
             )

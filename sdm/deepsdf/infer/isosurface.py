@@ -52,7 +52,7 @@ def decode_near_surface(
         chunk: Points that go through the network at a time.
 
     Returns:
-        The map, negative inside, in the sphere's unit. Further from the surface than a few voxels its sign alone counts.
+        The map, negative inside, in the sphere's unit. Further from the surface than some voxels its sign alone counts.
 
     Raises:
         GridError: A resolution below 16.
