@@ -1,8 +1,10 @@
 """Fixtures and settings of every test: the data folder, the devices, hypothesis, and checks of tensors' shapes."""
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import faulthandler
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,9 @@ from pathlib import Path
 # take ten times as long. Warp's launches still use several. Torch reads this as it is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# What is imported and collected stays to the end. To look through it for garbage again and again is a tenth of a run.
+gc.disable()
 
 import hypothesis
 import pytest
@@ -32,6 +37,12 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
 def pytest_sessionstart(session: pytest.Session) -> None:
     # What a crash says comes from the thread that crashed, not from the dozens that waited.
     faulthandler.enable(session.config.stash[fault_handler_stderr_fd_key], all_threads=False)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -49,7 +49,11 @@ def fewer_steps(text):
     return STEPS.sub(r"\g<1>4", text)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name",
+    # A template is laid onto a dozen meshes; the quick test of that is in shapes/models/test_build_model.py.
+    [pytest.param(name, marks=pytest.mark.slow) if name == "shape_model" else name for name in EXAMPLES],
+)
 def test_example_leaves_its_picture(name, root, tmp_path, pyplot):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"needs the extra {NEEDS[name]}")

@@ -201,11 +201,15 @@ def test_exit_codes_of_commands(monkeypatch):
 
 def test_the_program_and_the_module(tmp_path):
     program = Path(sysconfig.get_path("scripts")) / "sdm"
-    for start in ([program], [sys.executable, "-m", "sdm"]):
-        done = subprocess.run([*start, "inspect", tmp_path / "no.stl"], capture_output=True, text=True, check=False)
+    # The one from a command, the other before it, and before torch is imported.
+    for start, said in (
+        ([program, "inspect", tmp_path / "no.stl"], "sdm: there is no mesh file"),
+        ([sys.executable, "-m", "sdm", "inspekt"], "sdm: there is no command inspekt"),
+    ):
+        done = subprocess.run(start, capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
-        assert done.stderr.splitlines()[-1].startswith("sdm: there is no mesh file")
+        assert done.stderr.splitlines()[-1].startswith(said)
 
 
 def test_an_interrupt_before_the_program_is_read():

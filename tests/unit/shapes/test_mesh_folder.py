@@ -175,7 +175,10 @@ def test_the_grid_holds_a_large_mesh_among_many():
     small = trimesh.creation.icosahedron()
     one = sdm.TriangleMesh(small.vertices, small.faces)
     large = sdm.TriangleMesh(10 * one.vertices, one.faces)
-    family = MeshFolder([large if n == 7 else one for n in range(1200)], normalize=False)
+    # All are closed and face outward, which is looked at for milliseconds a mesh.
+    family = MeshFolder(
+        [large if n == 7 else one for n in range(1200)], normalize=False, open_meshes="keep", orient="keep"
+    )
     low, high = family.bounds()
     theta = family.sample(200, device="cpu")
     theta[:, 0] = 7.5

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from sdm import Grid
 from sdm.bench.common.meshes import load_case
@@ -19,6 +20,12 @@ NAMES = [peer.name for peer in all_peers("cpu")]
 WITH_POINTS = [peer.name for peer in all_peers("cpu") if peer.points_too]
 
 pytestmark = pytest.mark.filterwarnings("default")  # other libraries' warnings are theirs
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_gradients():
+    """Of Warp's geometry, which compiles for a third of the time without them."""
+    wp.get_module("warp.geometry").options["enable_backward"] = False
 
 
 @pytest.fixture(scope="module")

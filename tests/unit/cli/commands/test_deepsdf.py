@@ -183,11 +183,16 @@ def test_a_pickle_given_as_a_model_is_one_sentence(tmp_path: Path, capfd: pytest
     assert said == f"sdm: {tmp_path / 'model.pt'} is no DeepSDF model, or it is damaged; train it again\n"
 
 
-def test_size_and_code_are_fitted_to_an_image_and_to_points(
-    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Of the code's thousands of numbers: more than an ellipsoid needs.
+@pytest.fixture
+def few_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the code's thousands of numbers: more than an ellipsoid needs."""
     monkeypatch.setattr(preconditioner, "MOST", 1000)
+
+
+# Many seconds; deepsdf/infer/test_fit_deepsdf.py has quick fits of images, by the command too.
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_numbers")
+def test_size_and_code_are_fitted_to_an_image(work: Path, tmp_path: Path) -> None:
     truth, model = sdm.load_mesh(work / "new.ply"), str(work / "model" / "model.pt")
     grid = sdm.Grid((6.0, -4.0, -3.5), (0.65, 0.65, 0.65), (13, 13, 12))
     inside = torch.sigmoid(-sdm.signed_distance_map(truth, grid).values / 0.15)
@@ -202,8 +207,14 @@ def test_size_and_code_are_fitted_to_an_image_and_to_points(
     assert found["theta"]["size"]["estimate"] == pytest.approx(3.09, rel=0.1)
     assert found["pose"]["translation_mm"] == pytest.approx([10, 0, 0], abs=0.3)
     assert float(sdm.signed_distance(truth, sdm.load_mesh(surface).vertices).abs().mean()) < 0.15
+
+
+@pytest.mark.usefixtures("few_numbers")
+def test_size_and_code_are_fitted_to_points(work: Path, tmp_path: Path) -> None:
+    truth, surface = sdm.load_mesh(work / "new.ply"), tmp_path / "fit.ply"
     np.save(tmp_path / "some.npy", truth.vertices[::4].numpy())
-    assert main(["fit", "--points", str(tmp_path / "some.npy"), *files]) == 0
+    words = ["fit", "--points", str(tmp_path / "some.npy"), "-o", str(tmp_path / "fit.json"), "--mesh", str(surface)]
+    assert main([*words, "--family", str(work / "model" / "model.pt"), "--device", "cpu"]) == 0
     assert float(sdm.signed_distance(truth, sdm.load_mesh(surface).vertices).abs().mean()) < 0.15
 
 

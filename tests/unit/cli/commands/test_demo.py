@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stdout
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,22 +14,29 @@ from sdm.errors import DeviceError, FormatError, GridError
 from sdm.surrogate import shipped_weights
 
 
-def test_writes_mesh_map_and_picture_and_says_so(tmp_path, capsys):
-    demo(resolution=24, out=tmp_path / "a" / "b")
-    said = capsys.readouterr().out
-    folder = tmp_path / "a" / "b"
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder that a demo has made, and what it has said."""
+    folder = tmp_path_factory.mktemp("demo") / "a" / "b"
+    with redirect_stdout(io.StringIO()) as said:
+        demo(resolution=40, out=folder)
+    return folder, said.getvalue()
+
+
+def test_writes_mesh_map_and_picture_and_says_so(made):
+    folder, said = made
     more = [] if shipped_weights() is None else ["surrogate.png"]
     assert sorted(path.name for path in folder.iterdir()) == ["demo.nii.gz", "demo.ply", "demo.png", *more]
     assert "20,256 triangles" in said
-    assert "24 x 24 x 24 voxels" in said
+    assert "40 x 40 x 40 voxels" in said
     assert str(folder / "demo.nii.gz") in said
 
 
-def test_the_files_hold_the_mesh_and_its_map(tmp_path):
-    demo(resolution=40, out=tmp_path)
-    mesh = sdm.load_mesh(tmp_path / "demo.ply")
+def test_the_files_hold_the_mesh_and_its_map(made):
+    folder, _ = made
+    mesh = sdm.load_mesh(folder / "demo.ply")
     np.testing.assert_array_equal(mesh.numpy()[0], demo_mesh().numpy()[0])
-    field = sdm.load(tmp_path / "demo.nii.gz")
+    field = sdm.load(folder / "demo.nii.gz")
     points = field.grid.points().reshape(-1, 3)
     np.testing.assert_allclose(sdm.signed_distance(mesh, points), field.values.reshape(-1), atol=1e-5)
     voxel = np.prod(field.grid.spacing)

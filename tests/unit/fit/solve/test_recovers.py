@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -80,10 +81,12 @@ def test_hybrid_and_anchored_end_where_exact_does(backend: ExactBackend, image: 
     surrogate = GridBackend(model, grid)
     # Each backend turns shapes about a centre of its own; a pose means the same only with the same one.
     surrogate.centre = backend.centre
-    hybrid = fit_shape(image.values, image.grid, surrogate, finish=backend, options=OPTIONS)
-    alone = fit_shape(image.values, image.grid, surrogate, options=OPTIONS)
+    # One start, as where they end is what matters.
+    options = replace(OPTIONS, starts=1)
+    hybrid = fit_shape(image.values, image.grid, surrogate, finish=backend, options=options)
+    alone = fit_shape(image.values, image.grid, surrogate, options=options)
     surrogate.exact = backend
-    anchored = fit_shape(image.values, image.grid, surrogate, options=OPTIONS)
+    anchored = fit_shape(image.values, image.grid, surrogate, options=options)
     errors = [
         float(((found.state.theta - result.state.theta) / result.state.theta).abs().max())
         for found in (hybrid, anchored, alone)
