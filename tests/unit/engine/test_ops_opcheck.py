@@ -51,6 +51,8 @@ def test_closest(case):
 STRAIGHT, TURNED = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]
 
 
+# The others' ways are those of one mesh, below.
+@pytest.mark.parametrize("case", [(True, False, 0), (True, True, 0), (False, True, 3)])
 def test_distance_maps(case):
     _check_maps(case, 3, TURNED)
 

@@ -45,7 +45,8 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("method", ["baseline", "pwr"])
+# The other way takes twice as long; cli/commands/test_segmentation.py has a shorter training by it.
+@pytest.mark.parametrize("method", ["baseline", pytest.param("pwr", marks=pytest.mark.slow)])
 def test_it_learns(method, one_thread):
     # Of three seeds each the worst has 0.86 after 120 steps; after 60 it depends on the seed.
     chosen = settings(method=method, steps=120, filters=4)
