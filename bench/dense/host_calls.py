@@ -29,7 +29,8 @@ import warp as wp
 
 import sdm
 from sdm.bench.common.meshes import torus
-from sdm.engine import map_check, ops
+from sdm.engine import ops
+from sdm.engine.checks import map_check
 from sdm.kernels import launch
 from sdm.kernels.launches import compiling, recorded
 

@@ -28,8 +28,9 @@ from sdm.engine.arguments import (
     oriented,
 )
 from sdm.engine.capacity.ready_maps import ready_map
+from sdm.engine.checks.map_check import MapCheck, checked, one_check
+from sdm.engine.checks.values_check import look_at_points
 from sdm.engine.closest_points import Closest
-from sdm.engine.map_check import MapCheck, checked, look_at_points, one_check
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points, search_needs_tree_alone

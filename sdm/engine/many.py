@@ -30,8 +30,8 @@ from sdm.engine.arguments import (
     SignMethod,
     check_orient,
 )
+from sdm.engine.checks.values_check import batch_checks, look_at_batch
 from sdm.engine.closest_points import Closest
-from sdm.engine.map_check import batch_checks, look_at_batch
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex

@@ -41,6 +41,7 @@ from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import Join, beside
 from sdm.runtime.host_copy import number_later
+from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
@@ -92,6 +93,11 @@ def put_together(slabs: Iterable[tuple[int, int, Tensor]], layers: int) -> Tenso
     if whole is None:
         raise ValueError("a map without slabs")
     return whole
+
+
+def moves_without_wait(vertices: Tensor) -> bool:
+    """True if the structure of moved vertices may be built later, by what needs it."""
+    return vertices.is_cuda and not vertices.requires_grad and is_eager(vertices)
 
 
 def is_recordable(vertices: Tensor, nbytes: int) -> bool:

@@ -18,15 +18,17 @@ from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import ComparedSignOptions, Orient, Sign, SignMethod, SignOptions, described, oriented
+from sdm.engine.checks.map_check import MapCheck, checked
+from sdm.engine.checks.values_check import SlabsCheck
 from sdm.engine.closest_points import Closest, Layers
 from sdm.engine.flood import flooded, rims_of
-from sdm.engine.map_check import MapCheck, SlabsCheck, checked
 from sdm.engine.map_closest import VOXEL_BYTES, ClosestMap, closest_map
 from sdm.engine.maps import (
     LARGEST_SLAB,
     batch_maps,
     index_map,
     is_recordable,
+    moves_without_wait,
     put_together,
     slabs_of,
     unsigned_index_map,
@@ -44,11 +46,6 @@ from sdm.topology.face_pairing import pairing_of
 if TYPE_CHECKING:
     from sdm.core.sparse_sdm import SparseSDM
     from sdm.engine.band.calls import BandGrid
-
-
-def moves_without_wait(vertices: Tensor) -> bool:
-    """True if the structure of moved vertices may be built later, by what needs it."""
-    return vertices.is_cuda and not vertices.requires_grad and is_eager(vertices)
 
 
 class MeshIndex:

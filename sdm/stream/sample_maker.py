@@ -16,7 +16,8 @@ from sdm.core.device import choose_device, require_memory
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign, SignMethod
-from sdm.engine.map_check import ValuesCheck, named
+from sdm.engine.checks.caller_warning import named
+from sdm.engine.checks.values_check import ValuesCheck
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import DeviceError, MeshError, SDMError

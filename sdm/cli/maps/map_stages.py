@@ -18,8 +18,8 @@ from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.arguments import oriented
+from sdm.engine.checks.caller_warning import quiet
 from sdm.engine.many import signed_distance_maps
-from sdm.engine.map_check import quiet
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.inspect.quick_look import look_at

@@ -6,7 +6,7 @@ from sdm.cli.maps.work import ReadMesh
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign
-from sdm.engine.map_check import doubts_about
+from sdm.engine.checks.map_check import doubts_about
 
 
 def remarks(read: ReadMesh, closed: bool, inside: int, ambiguous: int, sign: Sign) -> list[str]:

@@ -17,9 +17,10 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.arguments import Orient, SignMethod, oriented
+from sdm.engine.checks.caller_warning import named
+from sdm.engine.checks.map_check import MapCheck, checked, later_check
 from sdm.engine.closest_points import Closest
 from sdm.engine.flood import flooded, rims_of
-from sdm.engine.map_check import MapCheck, checked, later_check, named
 from sdm.engine.map_closest import closest_map
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.boxes import with_known_boxes

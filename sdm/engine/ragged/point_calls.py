@@ -13,8 +13,9 @@ from sdm.core.as_mesh import MeshLike
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign
+from sdm.engine.checks.caller_warning import named
+from sdm.engine.checks.values_check import look_at_points
 from sdm.engine.closest_points import Closest
-from sdm.engine.map_check import look_at_points, named
 from sdm.engine.points import as_points, at_points
 from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_points import ragged_points

@@ -257,7 +257,7 @@ def test_closed_streams(closed, tmp_path):
 
 
 def test_warnings_of_the_library_are_a_line(monkeypatch, capsys):
-    from sdm.engine.map_check import warn
+    from sdm.engine.checks.caller_warning import warn
 
     monkeypatch.setattr(app, "_parse", lambda words: lambda: warn("ball.ply: it is inside out"))
     assert main(["view"]) == main(["view"]) == 0
