@@ -11,6 +11,7 @@ from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.orient.visible_sides import Sides, visible_sides
 from sdm.inspect.agreement import agreeing_turns
+from sdm.inspect.duplicates import first_copies
 from sdm.inspect.positions import first_at_position
 
 # A patch is seen from outside if this share of the rays from its better side meets nothing; one whose faces agree, and
@@ -18,6 +19,8 @@ from sdm.inspect.positions import first_at_position
 SEEN, WELL_SEEN = 0.01, 0.25
 # One side is seen better than the other by so many standard deviations.
 CLEARLY = 4.0
+# Copies of a face that are patches of their own.
+MOST_COPIES = 4
 # A patch lies wholly inside others if so many of its rays agree.
 WHOLLY = 0.9
 
@@ -65,6 +68,38 @@ def _turns(mesh: TriangleMesh, device: torch.device) -> np.ndarray:
     """The faces to turn (F,)."""
     vertices, faces = mesh.numpy()
     merged = first_at_position(vertices)[faces.astype(np.int64)]
+    like = _represented(merged, len(vertices))
+    if like is None:
+        return _turns_of(mesh, merged, device)
+    kept = np.flatnonzero(like == np.arange(len(faces)))
+    some = TriangleMesh(mesh.vertices, mesh.faces[torch.from_numpy(kept).to(mesh.device)], mesh.name, check=False)
+    turn = np.zeros(len(faces), bool)
+    turn[kept] = _turns_of(some, merged[kept], device)
+    return turn[like]
+
+
+def _represented(merged: np.ndarray, vertices: int) -> np.ndarray | None:
+    """For each face the number (F,) of the one that it is turned with: itself, or a copy; None if there are few.
+
+    Each copy of a face is a patch with rays of its own, which would meet all the others. Of very many three or four are
+    left, as odd or even as they all are, so that their edges still hold no patch together and rays count alike.
+    """
+    first, same_side = first_copies(merged, vertices)
+    group = 2 * first + same_side
+    if np.bincount(group).max(initial=0) <= MOST_COPIES:
+        return None
+    order = np.argsort(group, kind="stable")
+    begin = np.flatnonzero(np.diff(group[order], prepend=-1))
+    count = np.diff(np.append(begin, len(order)))
+    rank = np.arange(len(order)) - np.repeat(begin, count)
+    drop = (rank >= np.repeat(MOST_COPIES - count % 2, count)) & np.repeat(count > MOST_COPIES, count)
+    like = np.arange(len(merged))
+    like[order[drop]] = np.repeat(order[begin], count)[drop]
+    return like
+
+
+def _turns_of(mesh: TriangleMesh, merged: np.ndarray, device: torch.device) -> np.ndarray:
+    vertices, faces = mesh.numpy()
     corners = vertices[faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     turn, patch, count = agreeing_turns(merged, area)
