@@ -147,11 +147,14 @@ def negate_inside(
         )
 
 
-def rims_of(mesh: TriangleMesh, edges: Tensor) -> Tensor:
-    """Edges (E,2) of a mesh's holes, whichever way its faces face, given its boundary `edges` (E,2).
+def rims_of(mesh: TriangleMesh, edges: Tensor | None) -> Tensor:
+    """Edges (E,2) of a mesh's holes, whichever way its faces face, given its boundary `edges` (E,2) if they are known.
 
-    Where faces disagree, the edges between them are left over twice: then faces are made to agree first.
+    Where faces disagree, the edges between them are left over twice: then faces are made to agree first. Of very many
+    copies of a face one is to be given: a walk along the rims of all looks at each for each.
     """
+    if edges is None:
+        edges = boundary_edges(mesh.vertices, mesh.faces)
     # They are sorted.
     if not bool((edges[1:] == edges[:-1]).all(1).any()):
         return edges

@@ -263,11 +263,7 @@ class MeshIndex:
     def rims(self) -> Tensor:
         """Edges (E,2) of the mesh's holes, whichever way its faces face."""
         if self._rims is None:
-            edges = self._edges
-            if self._repeated is not None:
-                # Copies of a face close the same holes, and a walk along their rims would look at each for each.
-                edges = boundary_edges(self._measured.vertices, self._measured.faces)
-            self._rims = rims_of(self._measured, edges)
+            self._rims = rims_of(self._measured, None if self._repeated is not None else self._edges)
         return self._rims
 
     def _flooded(self, grid: Grid, distances: Tensor, hole: float) -> Tensor:

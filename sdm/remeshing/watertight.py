@@ -79,9 +79,9 @@ def watertight(
     Args:
         mesh: Any triangles.
         resolution: Voxels along the longest edge of the mesh's box, with the room around it.
-        offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed, and else half a voxel, so that
-            sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a mesh
-            is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the rim of
+        offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed and signed, else half a voxel, so
+            that sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a
+            mesh is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the rim of
             a sheet, which would be surfaces of their own, are dropped.
         hole_size: Gaps that are narrower than this length are closed; by default two voxels.
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
@@ -107,10 +107,12 @@ def watertight(
     check_options(resolution, offset, hole_size, hidden, method)
     where = choose_device(device, mesh.vertices)
     closed, agreeing = closedness(mesh)
-    grid = _grid(mesh, resolution, 0.0 if closed and offset is None else offset)
-    step = grid.spacing[0]
-    level = (0.0 if closed else DEFAULT_OFFSET * step) if offset is None else float(offset)
     sign = _sign(closed and agreeing, hidden)
+    # Without a sign nothing is at a distance of 0 or less.
+    exact = closed and sign != "none"
+    grid = _grid(mesh, resolution, 0.0 if exact and offset is None else offset)
+    step = grid.spacing[0]
+    level = (0.0 if exact else DEFAULT_OFFSET * step) if offset is None else float(offset)
     gap = None if sign != "flood" else (DEFAULT_HOLE * step if hole_size is None else float(hole_size))
     index = MeshIndex(mesh, where, warn=False)
     field = with_zeros_inside(closing_field(index, grid, sign, gap, level), 1e-6 * step)

@@ -120,6 +120,16 @@ def test_an_open_shell_with_a_hidden_inside_keeps_its_hollow():
     assert areas_and_volume(hollow)[1] < 0.5 * areas_and_volume(filled)[1]
 
 
+def test_a_closed_mesh_whose_faces_disagree_keeps_its_hollow():
+    """It has no sign then, and at an offset of 0 nothing was found of it."""
+    vertices, faces = ball()
+    turned = np.concatenate([faces[:5, ::-1], faces[5:]])
+    surface, report = sdm.watertight(TriangleMesh(vertices, turned), 30, hidden="keep", return_report=True)
+    assert_closed_manifold(surface)
+    assert report.offset == pytest.approx(report.spacing / 2, rel=0.02)
+    assert report.input_to_output.largest < report.spacing
+
+
 def test_a_sheet_midway_between_voxels_becomes_a_plate():
     """Also one that is there twice, whose every edge has two faces."""
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
