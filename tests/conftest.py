@@ -42,6 +42,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop() -> None:
     gc.freeze()
+    # As for the command line: seldom. Tests that ask what is left collect it themselves.
+    gc.set_threshold(10_000, 10, 10)
     gc.enable()
 
 

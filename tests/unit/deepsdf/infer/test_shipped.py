@@ -28,7 +28,7 @@ def test_a_mesh_there_and_back(cochlea: sdm.TriangleMesh, tmp_path: Path) -> Non
     code, out = tmp_path / "cochlea.npz", tmp_path / "again.ply"
     words = ["encode", str(tmp_path / "cochlea.ply"), "-m", "cochlea", "-o", str(code), "--steps", "20"]
     assert main([*words, "--device", "cpu"]) == 0
-    assert main(["decode", str(code), "-m", "cochlea", "-o", str(out), "--resolution", "40", "--device", "cpu"]) == 0
+    assert main(["decode", str(code), "-m", "cochlea", "-o", str(out), "--resolution", "32", "--device", "cpu"]) == 0
     away = sdm.signed_distance(cochlea, sdm.load_mesh(out).vertices)
     assert away.abs().mean() < 0.1
 
@@ -38,7 +38,7 @@ def test_the_other_half_follows(cochlea: sdm.TriangleMesh) -> None:
     seen = half_of(points, torch.tensor([0.0, 1.0, 0.0]))
     model = DeepSDF.load("cochlea", "cpu")
     found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=60)
-    mesh = decode_mesh(model, found.code, sphere=found.sphere, resolution=40)
+    mesh = decode_mesh(model, found.code, sphere=found.sphere, resolution=32)
     away = sdm.signed_distance(mesh, points).abs()
     assert away[seen].mean() < 0.1
     assert away[~seen].mean() < 0.2
