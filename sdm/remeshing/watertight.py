@@ -81,8 +81,8 @@ def watertight(
         resolution: Voxels along the longest edge of the mesh's box, with the room around it.
         offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed and signed, else half a voxel, so
             that sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a
-            mesh is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the rim of
-            a sheet, which would be surfaces of their own, are dropped.
+            mesh is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the
+            rim of a sheet, which would be surfaces of their own, are dropped.
         hole_size: Gaps that are narrower than this length are closed; by default two voxels.
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
             cavities: of a closed mesh with faces that agree by winding numbers, of others as the space that is more
