@@ -37,6 +37,11 @@ def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | No
             f"it has holes ({report.boundary_edges:,} edges of one face only), so its inside is not defined; close "
             f"them, or take it all the same by {KEEP_OPEN}"
         )
+    if not report.disagreeing_edges:
+        return (
+            f"{report.nonmanifold_edges:,} of its edges have more than two faces, and {report.duplicate_faces:,} faces "
+            f"are copies of others, so its inside is not defined; remove these, or take it all the same by {KEEP_OPEN}"
+        )
     return (
         f"its faces disagree which side is out along {report.disagreeing_edges:,} edges; make them consistent, or take "
         f"it all the same by {KEEP_OPEN}"

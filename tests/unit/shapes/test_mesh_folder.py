@@ -282,3 +282,12 @@ def test_meshes_are_turned_as_one_says():
     with pytest.raises(MeshError, match="faces disagree which side is out"):
         MeshFolder([mixed], orient="keep")
     assert len(MeshFolder([mixed], orient="parts").meshes) == 1
+
+
+def test_faces_that_are_there_several_times_do_not_disagree():
+    """A ball with some of its faces twice has no rim, and no edge along which faces disagree."""
+    ball = trimesh.creation.icosphere(2)
+    mesh = sdm.TriangleMesh(ball.vertices, np.concatenate([ball.faces, ball.faces[:37]]))
+    with pytest.raises(MeshError, match=r"65 of its edges have more than two faces, and 37 faces are copies of others"):
+        MeshFolder([mesh])
+    assert len(MeshFolder([mesh], open_meshes="keep").meshes) == 1
