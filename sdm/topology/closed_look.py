@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import threading
+
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
 
 from sdm.kernels.topology.closed_look import SUMS, look_whether_closed, slots_for
 from sdm.runtime.torch_warp import as_warp
+
+# Places of a thread's own: of meshes of some hundred thousand faces.
+MOST_KEPT = 1 << 18
+_own = threading.local()
 
 
 def is_plainly_closed(vertices: Tensor, faces: Tensor, least: float) -> bool:
@@ -25,20 +32,28 @@ def is_plainly_closed(vertices: Tensor, faces: Tensor, least: float) -> bool:
     # A closed mesh has at least four faces, and three edges for two faces.
     if count < 4 or count % 2:
         return False
-    vertices, faces, slots = vertices.detach().contiguous(), faces.contiguous(), slots_for(count)
-    keys = torch.empty(slots, dtype=torch.int64, device="cpu")
-    waiting = torch.empty(slots, dtype=torch.int32, device="cpu")
-    parent = torch.empty(count, dtype=torch.int32, device="cpu")
-    sums = torch.empty(SUMS * count, dtype=torch.float64, device="cpu")
-    plain = torch.empty(1, dtype=torch.int32, device="cpu")
-    look_whether_closed(
-        as_warp(vertices, wp.vec3),
-        as_warp(faces, wp.int32),
-        least,
-        as_warp(keys, wp.int64),
-        as_warp(waiting, wp.int32),
-        as_warp(parent, wp.int32),
-        as_warp(sums, wp.float64),
-        as_warp(plain, wp.int32),
-    )
-    return bool(plain.item())
+    vertices, faces = vertices.detach().contiguous(), faces.contiguous()
+    plain, _, workspace = _workspace(slots_for(count))
+    look_whether_closed(as_warp(vertices, wp.vec3), as_warp(faces, wp.int32), least, *workspace)
+    return bool(plain[0])
+
+
+def _workspace(slots: int) -> tuple[np.ndarray, list[Tensor], list[wp.array]]:
+    """The place of the answer, memory for so many places of the table, and both as Warp's arrays.
+
+    A thread keeps it for its next mesh: fresh memory takes the system as long as the look itself, and to make arrays
+    takes Python's lock longer than all else here.
+    """
+    known = getattr(_own, "workspace", None)
+    if known is not None and known[0] == slots:
+        return known[1]
+    # The most faces that have so many places.
+    faces = 4 * slots // 9 + 1
+    kinds = {wp.int64: torch.int64, wp.int32: torch.int32, wp.float64: torch.float64}
+    wanted = (slots, wp.int64), (slots, wp.int32), (faces, wp.int32), (SUMS * faces, wp.float64), (1, wp.int32)
+    memory = [torch.empty(size, dtype=kinds[kind], device="cpu") for size, kind in wanted]
+    arrays = [as_warp(tensor, kind) for tensor, (_, kind) in zip(memory, wanted, strict=True)]
+    made = memory[-1].numpy(), memory, arrays
+    if slots <= MOST_KEPT:
+        _own.workspace = slots, made
+    return made

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+from sdm.cli.maps.map_readers import READ, MapReaders, reading_processes
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import Told, tell
@@ -19,7 +20,7 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
 from sdm.runtime.pipeline.thread_count import readers_beside, writers_beside
 from sdm.runtime.sharing.folder_job import FolderJob, ShardTold, require_seen
-from sdm.runtime.worker_processes.pool import WorkerError
+from sdm.runtime.worker_processes.pool import WorkerError, WorkerProcesses
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
@@ -35,6 +36,7 @@ def maps_told(
     single: bool = False,
     workers: int | None = None,
     writers: int = 0,
+    reading: int = 0,
     times: StageTimes,
 ) -> Iterator[Told]:
     """Compute maps into their files, and tell of each, in the order of the tasks.
@@ -48,6 +50,7 @@ def maps_told(
         single: The one mesh there is may have all of the machine.
         workers: Threads that read, and as many that write; by default what the machine has.
         writers: Processes that write in place of threads.
+        reading: Processes that read in place of threads.
         times: The pipeline's clock.
     """
     readers, threads = (
@@ -57,7 +60,12 @@ def maps_told(
     most = TOGETHER if settings.device.type == "cuda" else 1
     with ExitStack() as stack:
         beside = stack.enter_context(map_writers(writers, settings, 2 * writers + most)) if writers else None
-        stages = MapStages(settings, progress, alone=single, writers=beside)
+        apart = None
+        if reading:
+            # A system that allows no more processes has threads.
+            with suppress(OSError):
+                apart = stack.enter_context(WorkerProcesses(READ, reading))
+        stages = MapStages(settings, progress, alone=single, writers=beside, readers=MapReaders(apart, settings.how))
         written = _written(tasks, count, settings, stages, readers, writers or threads, most, single, times)
         for number, task, outcome in stack.enter_context(closing(written)):
             if isinstance(outcome, Failed) and isinstance(outcome.error, WorkerError):
@@ -151,8 +159,10 @@ class MapJob(FolderJob):
         """See `SharedJob`. Told are reports of shards, with what there is to tell of meshes in their order."""
         adopt(self.stand_ins)
         times = StageTimes() if times is None else times
-        writers = writing_processes(maker, [self.tasks[number] for number in self.wanted])
-        more: dict[str, Any] = {"workers": self.workers, "writers": writers // self.processes, "times": times}
+        wanted = [self.tasks[number] for number in self.wanted]
+        beside = {"writers": writing_processes(maker, wanted), "reading": reading_processes(maker, wanted)}
+        more: dict[str, Any] = {name: count // self.processes for name, count in beside.items()}
+        more |= {"workers": self.workers, "times": times}
         self.run_items(
             shards,
             lambda numbers: maps_told(((n, self.tasks[n]) for n in numbers), len(self.wanted), maker, **more),

@@ -11,8 +11,9 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
+from stat import S_ISREG
 from types import TracebackType
 from typing import IO, Any, Self
 
@@ -89,7 +90,7 @@ class MapManifest:
         if self._path is None or None in marks:
             return
         line = {"settings": self._settings, "target": _name(task.target)}
-        line |= {"source": marks[0], "written": marks[1], "entry": asdict(entry)}
+        line |= {"source": marks[0], "written": marks[1], "entry": vars(entry)}
         try:
             if self._file is None:
                 self._file = self._path.open("a", encoding="utf-8")
@@ -140,4 +141,4 @@ def _mark(path: Path) -> list[int] | None:
         found = path.stat()
     except OSError:
         return None
-    return [found.st_size, found.st_mtime_ns] if path.is_file() else None
+    return [found.st_size, found.st_mtime_ns] if S_ISREG(found.st_mode) else None

@@ -89,11 +89,17 @@ class Settings:
             raise GridError(f"the grid's spacing {self.spacing} must be positive")
         check_resolution(DEFAULT_RESOLUTION, self.margin)
 
-    def grid(self, mesh: TriangleMesh) -> Grid:
-        """The grid of a mesh's map."""
+    def grid(self, mesh: TriangleMesh, box: tuple[np.ndarray, np.ndarray] | None = None) -> Grid:
+        """The grid of a mesh's map; `box` is the mesh's where that is known, (3,) lowest and highest coordinates."""
         if self.like is not None:
             return self.like
-        return Grid.around(mesh, resolution=self.resolution, spacing=self.spacing, margin=self.margin)
+        return Grid.around_box(
+            *(mesh.bounds if box is None else box),
+            resolution=self.resolution,
+            spacing=self.spacing,
+            margin=self.margin,
+            name=mesh.name,
+        )
 
     def placed(self, mesh: TriangleMesh) -> tuple[TriangleMesh, Normalization | None]:
         """The mesh in the grid's unit and space, and what it was normalised by."""

@@ -11,6 +11,7 @@ from typing import Any
 from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.maps.map_readers import MapReaders
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_writers import LARGEST_BESIDE, MapWriters
 from sdm.cli.maps.remarks import remarks
@@ -23,7 +24,7 @@ from sdm.engine.many import signed_distance_maps
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.inspect.quick_look import look_at
-from sdm.io import check_target, grid_like, load_mesh, write_streamed
+from sdm.io import check_target, grid_like, write_streamed
 from sdm.io.bands.save_and_load import check_band_target, save_band
 from sdm.io.files.stand_in import fetched
 from sdm.io.maps.formats import check_target_name, format_of, require_memory_to_write
@@ -40,6 +41,7 @@ class MapStages:
         progress: Called with the share of a large map that is done, while it is written.
         alone: Whether there is one mesh only.
         writers: Processes that write maps; by default threads do.
+        readers: Of meshes; by default threads.
     """
 
     def __init__(
@@ -49,8 +51,10 @@ class MapStages:
         *,
         alone: bool = False,
         writers: MapWriters | None = None,
+        readers: MapReaders | None = None,
     ) -> None:
         self._settings, self._alone, self._writers = settings, alone, writers
+        self._readers = MapReaders(None, settings.how) if readers is None else readers
         self._progress = progress
         # Folders that have taken a file: trying it once for each map would be six calls of the system.
         self._writable: set[Path] = set()
@@ -59,15 +63,19 @@ class MapStages:
         """Read and place a mesh, and see whether its map is there already."""
         start, settings = time.perf_counter(), self._settings
         self._check_target(task.target)
-        mesh, by = settings.placed(load_mesh(task.source))
-        grid = settings.grid(mesh)
+        loaded, known = self._readers.read(task.source)
+        mesh, by = settings.placed(loaded)
+        grid = settings.grid(mesh, known.box if known is not None and mesh is loaded else None)
         settings.check(mesh, grid, task.target)
         measured = oriented(mesh, settings.orient, settings.device)
-        digest = digest_of(measured, settings.how)
+        if measured is not loaded:
+            known = None
+        digest = digest_of(measured, settings.how) if known is None else known.digest
         there = settings.resume and _finished(task, grid, digest)
         if not there and settings.like_image is not None:
             refuse_inputs([task.target], [settings.like_image])
-        return ReadMesh(task, mesh, measured, by, grid, digest, there, time.perf_counter() - start)
+        closed = known is not None and known.paired
+        return ReadMesh(task, mesh, measured, by, grid, digest, there, time.perf_counter() - start, closed)
 
     def _check_target(self, target: Path) -> None:
         if self._settings.band is not None:
@@ -161,7 +169,7 @@ class MapStages:
     def write(self, found: Measured) -> Written:
         """Write a map, and look at it."""
         start = time.perf_counter()
-        closed = look_at(found.read.measured).is_closed(found.read.measured)
+        closed = found.read.closed or look_at(found.read.measured).is_closed(found.read.measured)
         if found.read.there:
             return Written(found.read, closed)
         inside, ambiguous = self._save(found)
@@ -175,8 +183,8 @@ class MapStages:
         try:
             field = found.map.wait()
             workers = None if self._writers is None else self._writers.workers
-            write_made_from(field, found.read.task.target, found.read.digest, workers=workers)
-            return field.inside_voxels, found.ambiguous
+            inside = write_made_from(field, found.read.task.target, found.read.digest, workers=workers)
+            return field.inside_voxels if inside is None else inside, found.ambiguous
         finally:
             # Of one that failed too, or whoever measures the next would wait for it.
             if self._writers is not None:

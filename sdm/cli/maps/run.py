@@ -10,6 +10,7 @@ from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
 from sdm.cli.maps.map_manifest import MapManifest
+from sdm.cli.maps.map_readers import reading_processes
 from sdm.cli.maps.map_settings import DEFAULT_RESOLUTION, Settings
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.map_writers import LARGEST_BESIDE, writing_processes
@@ -79,6 +80,7 @@ def run(
                     single=len(jobs) == 1,
                     workers=workers,
                     writers=writing_processes(settings, [tasks[number] for number in wanted]),
+                    reading=reading_processes(settings, [tasks[number] for number in wanted]),
                     times=times,
                 )
             )

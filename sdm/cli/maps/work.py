@@ -38,6 +38,7 @@ class ReadMesh:
         digest: Of what the map is made from.
         there: Whether the map is there already.
         seconds: That this took.
+        closed: Whether it is known already that the measured mesh has no boundary.
     """
 
     task: MapTask
@@ -48,6 +49,7 @@ class ReadMesh:
     digest: str
     there: bool
     seconds: float
+    closed: bool = False
 
     @property
     def nbytes(self) -> int:

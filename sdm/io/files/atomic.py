@@ -49,10 +49,10 @@ def replacing(target: Path) -> Iterator[Path]:
         remove(part)
 
 
-def replace_by(target: Path, write: Callable[..., None], given: tuple[Any, ...]) -> None:
-    """Write a file by a function of its path and more, in place of what is there; see `replacing`."""
+def replace_by(target: Path, write: Callable[..., Any], given: tuple[Any, ...]) -> Any:
+    """Write a file by a function of its path and more, in place of what is there, and return what that does."""
     with replacing(target) as part:
-        write(part, *given)
+        return write(part, *given)
 
 
 def put(target: Path, content: bytes | Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sdm.io.files.checksum import checksum_of
 from sdm.io.files.direct_file import DirectFile
 from sdm.io.files.gzip_packer import packed
 from sdm.io.files.thread_room import thread_room
@@ -14,6 +15,8 @@ from sdm.io.files.thread_room import thread_room
 # Bytes of values that are turned, packed and written at once: they lie with x fastest in a file, and of many threads
 # each waits for Python's lock after every call.
 TURNED = 1 << 24
+# Values whose signs are held at a time.
+COUNTED = 1 << 16
 
 
 def pieces(head: bytes, values: np.ndarray) -> Iterator[np.ndarray]:
@@ -39,3 +42,19 @@ def write_file(path: Path, head: bytes, values: np.ndarray) -> None:
     with DirectFile(path, values.nbytes) as file:
         for piece in packed(pieces(head, values)):
             file.write(piece)
+
+
+def write_and_count(path: Path, head: bytes, values: np.ndarray, at: int, begin: int) -> int:
+    """As `write_file`, where nobody has looked at the values yet: the number of those that are negative.
+
+    Args:
+        path: The file.
+        head: With room for the values' checksum.
+        values: (nx,ny,nz) float32.
+        at: Place of the checksum.
+        begin: What it begins with: see `checksum_of`.
+    """
+    checksum = checksum_of(values, begin).encode()
+    write_file(path, head[:at] + checksum + head[at + len(checksum) :], values)
+    flat = values.reshape(-1)
+    return sum(int(np.count_nonzero(flat[one : one + COUNTED] < 0)) for one in range(0, len(flat), COUNTED))

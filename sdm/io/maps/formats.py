@@ -31,8 +31,8 @@ class Format:
         extra_maps: Memory that writing takes beyond the map on the host, in maps.
         writer: The writer's name.
         streamed: Whether the writer takes a map slab by slab, into a folder.
-        alone: Whether `write_file` of that file, of what `planned` tells of a map, writes it without torch. Of what is
-            packed: what is only written gains nothing by processes of its own.
+        alone: Whether `planned_unseen` of that file says how a map is written without torch. Of what is packed: what is
+            only written gains nothing by processes of its own.
     """
 
     name: str

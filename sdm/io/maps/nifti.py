@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,29 @@ from nibabel.openers import ImageOpener
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.files.nifti_stream import pieces, write_file
+from sdm.io.files.nifti_stream import pieces, write_and_count, write_file
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.nifti_header import nifti_header
-from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
+from sdm.io.maps.record import (
+    CHECKSUM,
+    KEY,
+    OPEN,
+    from_record,
+    record,
+    sign_arguments,
+    signs_of,
+    to_line,
+    verify,
+    with_checksum,
+    with_open_checksum,
+)
 
 # Of a record of ours among the comments.
 BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
+# The last entry of a record whose values nobody has looked at.
+OPEN_ENTRY = to_line({CHECKSUM: OPEN}).encode()[1:-1]
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -48,7 +63,22 @@ def planned(field: SDM, made_from: str | None = None, *, space: int = SCANNER) -
     """Arguments of `write_file` after the path."""
     values = field.numpy().astype(np.float32, copy=False)
     kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
-    return nifti_header(field.grid.affine, field.grid.shape, to_line({KEY: kept}).encode(), space), values
+    return _head(field, kept, space), values
+
+
+def planned_unseen(field: SDM, made_from: str | None = None) -> tuple[Callable[..., int], tuple[Any, ...]]:
+    """Function that writes `.nii.gz` without torch and counts voxels inside, and its arguments after the path.
+
+    Nobody has looked at the values until then.
+    """
+    kept, begin = with_open_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)))
+    head = _head(field, kept, SCANNER)
+    values, at = field.numpy().astype(np.float32, copy=False), head.rindex(OPEN_ENTRY) + OPEN_ENTRY.index(b"0")
+    return write_and_count, (head, values, at, begin)
+
+
+def _head(field: SDM, kept: dict[str, Any], space: int) -> bytes:
+    return nifti_header(field.grid.affine, field.grid.shape, to_line({KEY: kept}).encode(), space)
 
 
 def read(path: Path) -> SDM:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from typing import Any
 
@@ -15,6 +14,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
+from sdm.io.files.checksum import checksum_of, mesh_digest
 
 VERSION = 1
 # Under this name, where a format has names.
@@ -29,12 +29,12 @@ SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS = "sign_method", "hole_size", "sign_disagr
 TRUNCATED, NORMALIZATION = "truncated", "normalization"
 # In it, the checksum of values and record, for formats that have none of their own.
 CHECKSUM = "crc32"
+# In its place until the values are looked at.
+OPEN = "00000000"
 # In it, the checksum of the record alone. A damaged geometry would otherwise look as if another program had moved the
 # image, whose values nobody can then vouch for.
 RECORD_CHECKSUM = "record_crc32"
 NO_VALUES = np.zeros(0, np.float32)
-# Hexadecimal digits.
-DIGEST = 32
 
 
 def digest_of(mesh: TriangleMesh, how: str = "") -> str:
@@ -44,11 +44,7 @@ def digest_of(mesh: TriangleMesh, how: str = "") -> str:
         mesh: The mesh.
         how: What else a map depends on, besides the grid.
     """
-    vertices, faces = mesh.numpy()
-    digest = hashlib.sha256(f"{vertices.shape} {faces.shape}{how}".encode())
-    digest.update(np.ascontiguousarray(vertices, "<f4").data)
-    digest.update(np.ascontiguousarray(faces, "<i4").data)
-    return digest.hexdigest()[:DIGEST]
+    return mesh_digest(*mesh.numpy(), how)
 
 
 def record(
@@ -121,6 +117,12 @@ def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:
     return {**kept, CHECKSUM: _checksum(kept, values)}
 
 
+def with_open_checksum(kept: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    """The same with zeros for the checksum of the values, and the number that `checksum_of` begins with to find it."""
+    kept = {**kept, RECORD_CHECKSUM: _checksum(kept, NO_VALUES)}
+    return {**kept, CHECKSUM: OPEN}, _begin(kept)
+
+
 def verify(kept: Any, values: np.ndarray, name: str) -> None:
     """Compare values (nx,ny,nz) float32, and the record itself, with the record's checksum, if it has one.
 
@@ -146,9 +148,11 @@ def _verify_record(kept: dict[str, Any], name: str) -> None:
 
 
 def _checksum(kept: dict[str, Any], values: np.ndarray) -> str:
-    begin = isal_zlib.crc32(to_line(dict(sorted(kept.items()))).encode())
-    # That of zlib, in a fifth of the time.
-    return f"{isal_zlib.crc32(np.ascontiguousarray(values, '<f4').data, begin):08x}"
+    return checksum_of(values, _begin(kept))
+
+
+def _begin(kept: dict[str, Any]) -> int:
+    return isal_zlib.crc32(to_line(dict(sorted(kept.items()))).encode())
 
 
 def to_line(kept: dict[str, Any]) -> str:

@@ -72,14 +72,20 @@ def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
     write_made_from(field, target, made_from)
 
 
-def write_made_from(field: SDM, target: Path, made_from: str | None, *, workers: WorkerProcesses | None = None) -> None:
-    """As `save_made_from`, to a place that `check_target` has looked at, by processes that run `WRITE` if they can."""
+def write_made_from(
+    field: SDM, target: Path, made_from: str | None, *, workers: WorkerProcesses | None = None
+) -> int | None:
+    """As `save_made_from`, to a place that `check_target` has looked at, by processes that run `WRITE` if they can.
+
+    Returns:
+        The number of voxels inside, where such a process has counted them.
+    """
     chosen = format_of(target)
     if workers is not None and chosen.alone:
-        workers.call(target, chosen.module.write_file, chosen.module.planned(field, made_from))
-        return
+        return workers.call(target, *chosen.module.planned_unseen(field, made_from))
     with replacing(target) as part:
         getattr(chosen.module, chosen.writer)(field, part, made_from)
+    return None
 
 
 def load(path: str | Path) -> SDM:

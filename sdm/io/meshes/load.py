@@ -10,15 +10,15 @@ import numpy as np
 
 from sdm.core.mesh import LARGEST_COORDINATE, TriangleMesh
 from sdm.errors import FormatError, MeshError
-from sdm.inspect.positions import are_distinct, first_at_position
 from sdm.io.files.list_files import visible
 from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import is_remote, local_copy
 from sdm.io.files.stand_in import address_of
 from sdm.io.meshes.archive import unpacked
+from sdm.io.meshes.arrays.triangles import checked_and_merged
 from sdm.io.meshes.formats import ARCHIVES, READERS, ending_of, mesh_endings
-from sdm.io.meshes.polygons import triangulate
-from sdm.io.meshes.scene import check_indices, read_scene
+from sdm.io.meshes.polygons import check_indices, triangulate
+from sdm.io.meshes.scene import read_scene
 
 
 def load_mesh(path: str | Path) -> TriangleMesh:
@@ -52,17 +52,8 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     _check_file(source)
     vertices, faces = _read(source, ending_of(source))
     # Whatever read them has looked at the indices.
-    if len(faces) == 0:
-        raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
-    largest = float(np.finfo(np.float32).max)
-    # Of all numbers at once, as rows of three take NumPy ten times as long. NaN is not at most anything.
-    low, high = float(vertices.min()), float(vertices.max())
-    if not (high <= largest and low >= -largest):
-        wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > largest).any(1)
-        index = int(np.flatnonzero(wrong)[0])
-        raise MeshError(f"vertex {index} of {source} is {vertices[index].tolist()}; every coordinate must be finite")
-    vertices, faces = _merge(vertices.astype(np.float32, copy=False), faces)
-    return TriangleMesh(vertices, faces, source.name, check=max(high, -low) > LARGEST_COORDINATE)
+    vertices, faces, largest = checked_and_merged(vertices, faces, source)
+    return TriangleMesh(vertices, faces, source.name, check=largest > LARGEST_COORDINATE)
 
 
 def mesh_files(folder: str | Path) -> list[Path]:
@@ -137,14 +128,3 @@ def _read_archive(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
             all_faces.append(faces.astype(np.int64) + count)
             count += len(vertices)
     return np.concatenate(all_vertices), np.concatenate(all_faces)
-
-
-def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Drop vertices at the position of an earlier one; the order of the others stays."""
-    # Of a closed mesh with shared vertices there are half as many as faces, and mostly each has its own place.
-    if len(vertices) < 2 * len(faces) and are_distinct(vertices):
-        return vertices, faces.astype(np.int32, copy=False)
-    first = first_at_position(vertices)
-    kept = first == np.arange(len(vertices))
-    number = np.cumsum(kept) - 1
-    return vertices[kept], number[first[faces]].astype(np.int32)

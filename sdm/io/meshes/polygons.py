@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+from sdm.errors import MeshError
 
 # A fan's triangle that faces the wrong way by less than this share of the polygon's area is rounding of the file.
 FAN_ROUNDING = 1e-6
@@ -28,6 +31,17 @@ class PolygonMesh:
     def of_triangles(cls, vertices: np.ndarray, faces: np.ndarray) -> PolygonMesh:
         """The mesh of vertices (V,3) and triangles (F,3)."""
         return cls(vertices, 3, faces.ravel())
+
+
+def check_indices(corners: np.ndarray, count: int, path: Path) -> None:
+    """Refuse corners, an array of any shape, that are not the numbers of `count` vertices.
+
+    Raises:
+        MeshError: Names the vertex.
+    """
+    if corners.size and (corners.min() < 0 or corners.max() >= count):
+        bad = int(corners.min() if corners.min() < 0 else corners.max())
+        raise MeshError(f"a face of {path} uses vertex {bad}, but it has {count} vertices counted from 0")
 
 
 def triangulate(mesh: PolygonMesh) -> np.ndarray:

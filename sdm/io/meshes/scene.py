@@ -13,6 +13,7 @@ from sdm.errors import MeshError
 from sdm.io.meshes.archive import check_zip
 from sdm.io.meshes.check_gltf import check_gltf
 from sdm.io.meshes.collada_looks import without_looks
+from sdm.io.meshes.polygons import check_indices
 
 if TYPE_CHECKING:
     from trimesh import Scene
@@ -78,14 +79,3 @@ def _flatten(scene: Scene, path: Path) -> tuple[np.ndarray, np.ndarray]:
         all_faces.append(faces + count)
         count += len(vertices)
     return np.concatenate(all_vertices), np.concatenate(all_faces)
-
-
-def check_indices(corners: np.ndarray, count: int, path: Path) -> None:
-    """Refuse corners, an array of any shape, that are not the numbers of `count` vertices.
-
-    Raises:
-        MeshError: Names the vertex.
-    """
-    if corners.size and (corners.min() < 0 or corners.max() >= count):
-        bad = int(corners.min() if corners.min() < 0 else corners.max())
-        raise MeshError(f"a face of {path} uses vertex {bad}, but it has {count} vertices counted from 0")

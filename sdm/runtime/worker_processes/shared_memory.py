@@ -22,6 +22,7 @@ class SharedMemory:
     Attributes:
         handle: Of the system, for processes that inherit it.
         content: (size,) bytes.
+        address: Where they begin in this process.
 
     Raises:
         OSError: The system has no such memory.
@@ -35,6 +36,8 @@ class SharedMemory:
         except OSError:
             os.close(self.handle)
             raise
+        # Asking an array takes as long as sending it.
+        self.address = int(self.content.ctypes.data)
 
     def close(self) -> None:
         """Let go of it. Processes that have it keep it until their end."""
@@ -48,6 +51,8 @@ def can_share() -> bool:
 
 def packed(given: Any, several: Sequence[SharedMemory]) -> bytes:
     """Pickle for a process that has inherited some memory: contiguous arrays there are not copied."""
+    if not several:
+        return pickle.dumps(given, pickle.HIGHEST_PROTOCOL)
     found = io.BytesIO()
     _Pickler(found, several).dump(given)
     return found.getvalue()
@@ -56,13 +61,14 @@ def packed(given: Any, several: Sequence[SharedMemory]) -> bytes:
 class _Pickler(pickle.Pickler):
     def __init__(self, file: io.BytesIO, several: Sequence[SharedMemory]) -> None:
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
-        self._places = [(one.content.ctypes.data, one.content.nbytes, one.handle) for one in several]
+        self._several = several
 
     def reducer_override(self, given: Any) -> Any:
         if type(given) is np.ndarray and given.nbytes and given.flags.c_contiguous:
-            for begin, size, handle in self._places:
-                if begin <= given.ctypes.data < begin + size:
-                    return array_at, (handle, given.ctypes.data - begin, given.shape, given.dtype.str)
+            address = given.ctypes.data
+            for one in self._several:
+                if one.address <= address < one.address + one.content.nbytes:
+                    return array_at, (one.handle, address - one.address, given.shape, given.dtype.str)
         return NotImplemented
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -36,6 +38,20 @@ def test_points_agree_with_the_affine():
     index = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1)
     expected = index @ grid.affine[:3, :3].T + grid.affine[:3, 3]
     np.testing.assert_allclose(grid.points().numpy(), expected, atol=1e-6)
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6, width=32), min_size=6, max_size=6),
+    st.integers(1, 600),
+    st.sampled_from([0.0, 0.05, 0.3]),
+)
+def test_a_plain_number_of_voxels_gives_the_same_bits_as_an_array(ends, resolution, margin):
+    low, high = np.sort(np.reshape(ends, (2, 3)).astype(np.float64), 0)
+    if (high == low).all():
+        return
+    by_numpy: Any = np.int64(resolution)
+    found = Grid.around_box(low, high, resolution, margin=margin)
+    assert found == Grid.around_box(low, high, by_numpy, margin=margin)
 
 
 def test_size_and_bytes():

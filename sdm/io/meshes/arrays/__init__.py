@@ -1,0 +1,1 @@
+"""Meshes as arrays, without torch and Warp: see `sdm.runtime.worker_processes`."""
