@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -26,6 +27,8 @@ REST = "train"
 SLACK = 4.0
 # Surfaces that are kept ready.
 KEPT = 64
+# Called with how many of how many are done, and of what.
+Counted: TypeAlias = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ def split_folder(
     twins: float = 0.01,
     group: str | None = None,
     device: str | torch.device = "cpu",
+    progress: Counted | None = None,
 ) -> FolderSplit:
     """Deal meshes to parts.
 
@@ -75,6 +79,8 @@ def split_folder(
         group: Regular expression; meshes with the same match in their paths, of its first group if it has one, are kept
             together, such as "^[^/]+" for the first folder.
         device: Where distances are measured.
+        progress: Called with how many are done, how many there are, and of what: meshes that are read, then pairs
+            that are compared.
 
     Raises:
         SDMError: Shares that make no sense, an expression that is none.
@@ -87,12 +93,12 @@ def split_folder(
         raise SDMError(f"twins are {twins:g} of their size apart; give a share of at least 0")
     # Looked at before meshes are read and measured.
     groups = {} if group is None else _by_expression(names, group)
-    shapes, skipped = _shapes(names, files, torch.device(device))
+    shapes, skipped = _shapes(names, files, torch.device(device), progress)
     if not shapes:
         raise MeshError(
             f"none of {len(names)} meshes can be used; of the first, {skipped[0][1] if skipped else 'none'}"
         )
-    found = find_twins(shapes, [files[n] for n in shapes], twins, device) if twins > 0 else []
+    found = find_twins(shapes, [files[n] for n in shapes], twins, device, progress) if twins > 0 else []
     order = list(shapes)
     together = _Groups(len(order))
     for pair in found:
@@ -110,7 +116,11 @@ def split_folder(
 
 
 def find_twins(
-    shapes: dict[int, np.ndarray], files: Sequence[Path], tolerance: float, device: str | torch.device = "cpu"
+    shapes: dict[int, np.ndarray],
+    files: Sequence[Path],
+    tolerance: float,
+    device: str | torch.device = "cpu",
+    progress: Counted | None = None,
 ) -> list[Twins]:
     """Pairs of near twins, by their places among the shapes; see `split_folder`.
 
@@ -119,6 +129,7 @@ def find_twins(
         files: Their files.
         tolerance: As a share of the size of the smaller one.
         device: Where to measure.
+        progress: See `split_folder`.
     """
     from scipy.spatial import KDTree
 
@@ -129,14 +140,15 @@ def find_twins(
     def surface(number: int) -> Surface:
         return Surface(load_mesh(files[number]), device)
 
-    pairs = KDTree(known).query_pairs(SLACK * tolerance * float(size.max()))
+    near = KDTree(known).query_pairs(SLACK * tolerance * float(size.max()))
+    limits = {(one, other): tolerance * min(size[one], size[other]) for one, other in sorted(near)}
+    pairs = [pair for pair, limit in limits.items() if np.linalg.norm(known[pair[0]] - known[pair[1]]) <= SLACK * limit]
     found = []
-    for one, other in sorted(pairs):
-        limit = tolerance * min(size[one], size[other])
-        if np.linalg.norm(known[one] - known[other]) > SLACK * limit:
-            continue
+    for done, (one, other) in enumerate(pairs):
+        if progress is not None:
+            progress(done, len(pairs), "pairs compared")
         distance = distance_between(surface(one), surface(other))
-        if distance < limit:
+        if distance < limits[one, other]:
             found.append(Twins(one, other, distance))
     return found
 
@@ -157,7 +169,7 @@ def deviations(mesh: TriangleMesh) -> np.ndarray:
 
 
 def _shapes(
-    names: Sequence[str], files: Sequence[Path], device: torch.device
+    names: Sequence[str], files: Sequence[Path], device: torch.device, progress: Counted | None
 ) -> tuple[dict[int, np.ndarray], list[tuple[str, str]]]:
     """`deviations` of each mesh that can be read, by its number; and which ones cannot."""
     workers = min(threads_beside(device), max(1, len(files)))
@@ -166,7 +178,9 @@ def _shapes(
     read = in_threads(
         numbered(files), "read", lambda file: deviations(load_mesh(file)), workers=workers, times=StageTimes()
     )
-    for outcome in read:
+    for done, outcome in enumerate(read):
+        if progress is not None:
+            progress(done, len(files), "meshes read")
         if not isinstance(outcome, Failed):
             shapes[outcome.number] = outcome.value
         elif isinstance(outcome.error, SDMError):

@@ -45,6 +45,7 @@ def split(
         skip_bad: Go on without the meshes that cannot be read; they are listed either way.
     """
     from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.common.progress import CountProgress
     from sdm.core.device import choose_device
     from sdm.errors import MeshError
     from sdm.io import mesh_tree
@@ -63,7 +64,8 @@ def split(
     names = [file.relative_to(folder).as_posix() for file in files]
     shares = {part: share for part, share in (("val", val), ("test", test)) if share}
     where = choose_device(device)
-    found = split_folder(names, files, shares, seed=seed, twins=twins, group=group, device=where)
+    with CountProgress("meshes") as progress:
+        found = split_folder(names, files, shares, seed=seed, twins=twins, group=group, device=where, progress=progress)
     for name, reason in found.skipped:
         print(f"sdm: {name} is not used: {reason}", file=sys.stderr)
     if found.skipped and not skip_bad:

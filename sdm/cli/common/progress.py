@@ -140,9 +140,11 @@ class CountProgress(_Bar):
         self._start_of_rate: tuple[float, int] | None = None
         self._logged = 0.0
 
-    def __call__(self, done: int, total: int) -> None:
-        """`done` of `total`."""
+    def __call__(self, done: int, total: int, unit: str | None = None) -> None:
+        """`done` of `total`; another unit than before is another count."""
         now = time.monotonic()
+        if unit is not None and unit != self._unit:
+            self._unit, self._start_of_rate = unit, None
         if self._start_of_rate is None:
             self._start_of_rate, self._logged = (now, done), now
             return

@@ -43,6 +43,15 @@ def run(*words: object) -> int:
     return main(["split", *map(str, words), "--device", "cpu"])
 
 
+def test_a_log_says_how_far_it_is(folder, capsys, monkeypatch):
+    monkeypatch.setattr("sdm.cli.common.progress.LOG_INTERVAL", 0.0)
+    assert run(folder) == 0
+    lines = capsys.readouterr().err
+    assert "of 25 meshes read" in lines
+    assert "pairs compared" in lines
+    assert lines.index("meshes read") < lines.index("pairs compared")
+
+
 def test_near_twins_stay_on_one_side(folder, capsys):
     assert run(folder, "--val", "0.2", "--test", "0.2") == 0
     assert "5 pairs of near twins" in capsys.readouterr().out
