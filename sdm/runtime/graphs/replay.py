@@ -223,7 +223,12 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
         return attempt_by_table(instead)
     if not isinstance(captured, TableRecording):
         return None, []
-    return _launched(captured, call.fill, call.reads, (), call.launched)
+    with captured.lock:
+        with _lock:
+            filled = captured.launch(call.fill, call.reads)
+        results: R = filled if call.launched is None else call.launched(filled)
+        right, said = captured.guessed_right()
+    return (results if right else None), said
 
 
 def kept(device: torch.device, key: Hashable) -> Kept | None:
@@ -251,25 +256,12 @@ def attempt_kept(
     recording = of.recording
     if not isinstance(recording, TableRecording):
         return None, []
-    return _launched(recording, fill, reads, about, launched, of.is_used)
-
-
-def _launched(
-    recording: TableRecording,
-    fill: Callable[..., Any],
-    reads: Tensors,
-    about: tuple[Any, ...],
-    launched: Callable[[Any], R] | None,
-    used: Callable[[], object] | None = None,
-) -> tuple[R | None, list[int]]:
-    """Launch a recording by table; its results, or None if its guess was wrong, and what it told."""
     with recording.lock:
         with _lock:
             filled = recording.launch(fill, reads, about)
-            if used is not None:
-                # While the device is at work.
-                used()
-        results: R = filled if launched is None else launched(filled)
+            # While the device is at work.
+            of.is_used()
+        results = launched(filled)
         right, said = recording.guessed_right()
     return (results if right else None), said
 

@@ -347,7 +347,7 @@ class TableStub(replay.TableRecording):
     def __init__(self, pool, work, table):
         self.lock, self.launches = replay.threading.Lock(), 0
 
-    def launch(self, fill, reads, about):
+    def launch(self, fill, reads):
         """The results, without a launch."""
         self.launches += 1
         return fill(None, ())
