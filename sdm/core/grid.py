@@ -111,7 +111,8 @@ class Grid:
         """
         _check_wanted(resolution, spacing, margin)
         mesh = as_mesh(mesh)
-        return cls.around_box(*mesh.bounds, resolution, spacing=spacing, margin=margin, name=mesh.name)
+        low, high = mesh.bounds
+        return cls.around_box(low, high, resolution, spacing=spacing, margin=margin, name=mesh.name)
 
     @classmethod
     def around_box(
