@@ -38,6 +38,7 @@ def view(
     from sdm.errors import GridError
     from sdm.io import load, load_mesh
     from sdm.io.maps.formats import is_map_name
+    from sdm.shapes.family import check_resolution
     from sdm.viz.viewer import check_view
     from sdm.viz.viewer import view as show
 
@@ -46,9 +47,9 @@ def view(
             raise GridError(f"{file} is a map, which has its own voxels: leave out --resolution")
         show(load(file), level=level, picture=out)
         return
+    voxels = 96 if resolution is None else resolution
+    check_resolution(voxels)
     check_view(out)
     mesh = load_mesh(file)
-    field = signed_distance_map(
-        mesh, Grid.around(mesh, resolution=96 if resolution is None else resolution), device=choose_device(device)
-    )
+    field = signed_distance_map(mesh, Grid.around(mesh, resolution=voxels), device=choose_device(device))
     show(field, mesh=mesh, level=level, picture=out)

@@ -102,7 +102,7 @@ def test_bad_predictions_end_with_a_sentence(place, monkeypatch, capsys, words, 
     [
         ("--family cochlea", "say how long to train"),
         ("--family torus --budget-s 1", "there is no family called 'torus'"),
-        ("--family cochlea --budget-s -1", "give a positive number of seconds"),
+        ("--family cochlea --budget-s -1", "a budget of -1 seconds trains nothing: give a positive number"),
     ],
 )
 def test_bad_trainings_end_with_a_sentence(tmp_path, capsys, words, expected):
