@@ -141,13 +141,6 @@ class Grid:
         _check_wanted(resolution, spacing, margin)
         extent = float((high - low).max())
         room = margin * extent
-        if type(resolution) is int and 0 < resolution <= MOST_VOXELS and extent > 0:
-            # The same numbers as below, for which NumPy takes Python's lock twenty times as long.
-            step = (extent + 2 * room) / max(resolution - 1, 1)
-            middle = [
-                (a + b) / 2 - step * (resolution - 1) / 2 for a, b in zip(low.tolist(), high.tolist(), strict=True)
-            ]
-            return cls(tuple(middle), (step,) * 3, (resolution,) * 3)
         if spacing is not None:
             step = np.asarray(_triple([spacing] * 3 if np.ndim(spacing) == 0 else spacing, "spacing"))
             if not (np.isfinite(step).all() and (step > 0).all()):
@@ -165,14 +158,16 @@ class Grid:
                 )
             origin = (low + high) / 2 - step * (count - 1) / 2
             return cls(origin, step, count)
+        # In Python's floats: NumPy takes Python's lock for as little twenty times as long.
         count = _resolution(128 if resolution is None else resolution)
         if extent == 0:
             far = f" (in float32, at coordinates of up to {np.abs(high).max():.3g})" if np.abs(high).max() > 1e6 else ""
             raise GridError(f"{name} has size zero{far}, so a resolution says nothing: give a spacing")
-        box = np.full(3, extent) if resolution is None or np.ndim(resolution) == 0 else high - low
-        step = float(((box + 2 * room) / np.maximum(count - 1, 1)).max())
-        origin = (low + high) / 2 - step * (count - 1) / 2
-        return cls(origin, (step,) * 3, count)
+        cube = isinstance(resolution, int | None) or np.ndim(resolution) == 0
+        box = [extent] * 3 if cube else (high - low).tolist()
+        step = max((edge + 2 * room) / max(n - 1, 1) for edge, n in zip(box, count, strict=True))
+        ends = zip(low.tolist(), high.tolist(), count, strict=True)
+        return cls(tuple((a + b) / 2 - step * (n - 1) / 2 for a, b, n in ends), (step,) * 3, count)
 
     @property
     def size(self) -> int:
@@ -244,7 +239,9 @@ def _check_wanted(resolution: Any, spacing: Any, margin: float) -> None:
         raise GridError(f"the grid's margin {margin} must be a share of the box of at least 0")
 
 
-def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
+def _resolution(wanted: int | Sequence[int] | np.ndarray) -> tuple[float, float, float]:
+    if type(wanted) is int and 0 < wanted <= MOST_VOXELS:
+        return (wanted, wanted, wanted)
     numbers = _numbers(wanted)
     fits = numbers is not None and numbers.shape in ((), (3,)) and not isinstance(wanted, str | bytes | bool)
     if numbers is None or not fits or not ((numbers >= 1) & (numbers % 1 == 0)).all():
@@ -255,7 +252,7 @@ def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
         raise GridError(
             f"the grid's resolution {said} must be a whole number of at least 1, or three, one for each axis"
         )
-    return np.broadcast_to(numbers, 3)
+    return _triple(np.broadcast_to(numbers, 3), "resolution")
 
 
 def _triple(values: object, what: str) -> tuple[float, float, float]:

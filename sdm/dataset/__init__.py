@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sdm.runtime.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sdm.dataset.freezing import freeze
@@ -16,10 +17,4 @@ _HOMES = {"SDMDataset": "reader", "damaged": "repair", "freeze": "freezing", "ge
 
 __all__ = ["SDMDataset", "damaged", "freeze", "generate", "verify"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'sdm.dataset' has no attribute {name!r}")
-    value = getattr(import_module(f"sdm.dataset.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(__name__, _HOMES)

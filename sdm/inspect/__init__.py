@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sdm.runtime.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sdm.inspect.outward import orient_outward
@@ -14,10 +15,4 @@ _HOMES = {"MeshReport": "report", "inspect_mesh": "report", "orient_outward": "o
 
 __all__ = ["MeshReport", "inspect_mesh", "orient_outward"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'sdm.inspect' has no attribute {name!r}")
-    value = getattr(import_module(f"sdm.inspect.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(__name__, _HOMES)

@@ -7,8 +7,9 @@ mesh in another space (LPS, as some medical software exports) has to be turned b
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sdm.runtime.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sdm.io.maps.formats import FORMATS, check_target
@@ -46,10 +47,4 @@ __all__ = [
     "write_streamed",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'sdm.io' has no attribute {name!r}")
-    value = getattr(import_module(f"sdm.io.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names(__name__, _HOMES)

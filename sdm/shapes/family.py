@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,8 +21,6 @@ from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes import sampling
 
-# Stands for shapes that are not made yet.
-UNIT_BOX = TriangleMesh(torch.tensor([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]], device="cpu"), [[0, 1, 2]], "a shape")
 # Shapes that decide how large a family's grid must be, besides the corners of its box.
 PROBES = 512
 MOST_CORNERS = 256
@@ -311,7 +310,7 @@ def check_resolution(resolution: int | Sequence[int], margin: float = 0.05) -> G
     Raises:
         GridError: As of `Grid.around`.
     """
-    return Grid.around(UNIT_BOX, resolution=resolution, margin=margin)
+    return Grid.around_box(np.zeros(3), np.ones(3), resolution, margin=margin, name="a shape")
 
 
 def as_theta(theta: Tensor, width: int, name: str) -> Tensor:

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.map_writers import LEAST_CORES, LEAST_MAPS
+from sdm.cli.maps.map_writers import processes_pay
 from sdm.cli.maps.work import MapTask
 from sdm.core.mesh import LARGEST_COORDINATE, TriangleMesh
 from sdm.io import load_mesh
 from sdm.io.files.stand_in import known
 from sdm.io.meshes.arrays.binary_files import READERS, BinaryMesh
-from sdm.runtime.pipeline.thread_count import readers_beside, threads_beside
+from sdm.runtime.pipeline.thread_count import readers_beside
 from sdm.runtime.worker_processes.pool import WorkerProcesses
-from sdm.runtime.worker_processes.shared_memory import can_share
 
 # What these processes run.
 READ = "sdm.io.meshes.arrays.binary_files:read_binary"
@@ -54,9 +53,8 @@ def reading_processes(settings: Settings, tasks: Sequence[MapTask]) -> int:
         settings: Of all maps.
         tasks: The meshes.
     """
-    few = settings.device.type != "cuda" or threads_beside(settings.device) < LEAST_CORES or len(tasks) < LEAST_MAPS
     # At an address, meshes are fetched by this process.
-    if few or not can_share() or known():
+    if not processes_pay(settings, tasks) or known():
         return 0
     binary = sum(task.source.suffix.lower() in READERS for task in tasks)
     return readers_beside(settings.device) if 2 * binary > len(tasks) else 0

@@ -113,14 +113,12 @@ class Settings:
         by = Normalization.of(mesh, self.normalize)
         return by.normalised(mesh), by
 
-    def check(self, mesh: TriangleMesh, grid: Grid, target: Path) -> None:
-        """Refuse a file that cannot hold what is wanted.
+    def check_range(self, mesh: TriangleMesh, grid: Grid) -> None:
+        """Refuse a map that half precision, if it is wanted, has no numbers for.
 
         Raises:
-            FormatError: As `check_format`.
-            SDMError: Distances that half precision has no numbers for.
+            SDMError: See `require_half_range`.
         """
-        self.check_format(target)
         if self.dtype == "float32":
             return
         # No voxel is further from the mesh than from any of its vertices, and the furthest from one is at a corner.

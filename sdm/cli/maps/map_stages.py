@@ -66,7 +66,7 @@ class MapStages:
         loaded, known = self._readers.read(task.source)
         mesh, by = settings.placed(loaded)
         grid = settings.grid(mesh, known.box if known is not None and mesh is loaded else None)
-        settings.check(mesh, grid, task.target)
+        settings.check_range(mesh, grid)
         measured = oriented(mesh, settings.orient, settings.device)
         if measured is not loaded:
             known = None

@@ -87,13 +87,17 @@ def writing_processes(settings: Settings, tasks: Sequence[MapTask]) -> int:
         settings: Of all maps.
         tasks: The meshes.
     """
-    threads = threads_beside(settings.device)
-    few = settings.device.type != "cuda" or threads < LEAST_CORES or len(tasks) < LEAST_MAPS
     # At an address, maps go through this process.
-    if few or not can_share() or any(one.written for one in known()):
+    if not processes_pay(settings, tasks) or any(one.written for one in known()):
         return 0
     fits = settings.band is None and 0 < _bytes_of_map(settings) <= LARGEST_BESIDE
-    return threads if fits and format_of(tasks[0].target).alone else 0
+    return threads_beside(settings.device) if fits and format_of(tasks[0].target).alone else 0
+
+
+def processes_pay(settings: Settings, tasks: Sequence[MapTask]) -> bool:
+    """True where processes beside the one that measures help: a GPU, cores and meshes enough, and memory to share."""
+    cores = threads_beside(settings.device)
+    return settings.device.type == "cuda" and cores >= LEAST_CORES and len(tasks) >= LEAST_MAPS and can_share()
 
 
 def _bytes_of_map(settings: Settings) -> int:

@@ -113,8 +113,8 @@ def sign_arguments(kept: Any) -> dict[str, Any]:
 
 def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:
     """A record with checksums: of itself, and of itself with values (nx,ny,nz) float32, which may be none."""
-    kept = {**kept, RECORD_CHECKSUM: _checksum(kept, NO_VALUES)}
-    return {**kept, CHECKSUM: _checksum(kept, values)}
+    kept, begin = with_open_checksum(kept)
+    return {**kept, CHECKSUM: checksum_of(values, begin)}
 
 
 def with_open_checksum(kept: dict[str, Any]) -> tuple[dict[str, Any], int]:

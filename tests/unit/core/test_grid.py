@@ -52,6 +52,9 @@ def test_a_plain_number_of_voxels_gives_the_same_bits_as_an_array(ends, resoluti
     by_numpy: Any = np.int64(resolution)
     found = Grid.around_box(low, high, resolution, margin=margin)
     assert found == Grid.around_box(low, high, by_numpy, margin=margin)
+    extent = (high - low).max()
+    step = (extent + 2 * (margin * extent)) / np.maximum(resolution - 1, 1)
+    assert found == Grid((low + high) / 2 - step * (resolution - 1) / 2, (step,) * 3, (resolution,) * 3)
 
 
 def test_size_and_bytes():
