@@ -24,7 +24,7 @@ from sdm.shapes.triage import reason_to_reject
 from sdm.shapes.vertex_op import vertex_op
 
 if TYPE_CHECKING:
-    from sdm.engine.arguments import Orient
+    from sdm.engine.arguments import Orient, Sign
 
 # Half a wave of the warp spans a mesh of half-length 1, so it bends a shape as a whole.
 FREQUENCY = math.pi / 2
@@ -56,12 +56,15 @@ class MeshFolder(Family):
             to 0.95. Below 1 the map of space is a diffeomorphism whose Jacobian determinant is at least
             (1 - warp)^3, so it never folds a surface through itself. Corners are moved and triangles stay flat: where
             two sheets are closer than their triangles are long, a strong warp can still make them meet.
-        open_meshes: "reject" meshes with holes or turned faces, whose inside would not be defined, or "keep" them.
+        open_meshes: "reject" meshes with holes or turned faces, whose inside would not be defined, or "keep" them; by
+            default they are rejected where `sign` is "winding".
         orient: How each mesh is turned outward, as for `sdm.signed_distance_map`: "auto" by its components, "parts" by
             what sees each patch of its faces from outside, or "keep", not at all.
         skip_bad: Go on without the files that cannot be used. `rejected` lists them with the reason either way.
         split: Of a folder that `sdm split` has split, the part to use, such as "train": streams of two parts never
             show the same shape.
+        sign: The sign that maps of the meshes are to have, which says which meshes can be used; give the stream the
+            same. "flood" and "none" take doubled walls and faces that look inwards too.
 
     Attributes:
         meshes: Those that are used, turned outward as `orient` says.
@@ -92,18 +95,22 @@ class MeshFolder(Family):
         scale: tuple[float, float] = (0.9, 1.1),
         shift: float = 0.1,
         warp: float = 0.5,
-        open_meshes: str = "reject",
+        open_meshes: str | None = None,
         orient: Orient = "auto",
         skip_bad: bool = False,
         split: str | None = None,
+        sign: Sign = "winding",
     ) -> None:
         self.parameters = _parameters(rotation, scale, shift, warp)
-        if open_meshes not in ("reject", "keep"):
+        if open_meshes not in ("reject", "keep", None):
             raise MeshError(f"open_meshes is {open_meshes!r}; use 'reject' or 'keep'")
-        self.meshes, self.rejected = _read(source, open_meshes == "keep", orient, split)
-        if self.rejected and not skip_bad:
+        keep_open = open_meshes == "keep" if open_meshes is not None else sign != "winding"
+        self.meshes, self.rejected = _read(source, orient, split, keep_open=keep_open, sign=sign)
+        if self.rejected and not (skip_bad and self.meshes):
             name, reason = self.rejected[0]
             others = f" (and {len(self.rejected) - 1} more)" if len(self.rejected) > 1 else ""
+            if skip_bad:
+                raise MeshError(f"there is no mesh to use: {name} cannot be used: {reason}{others}")
             raise MeshError(f"{name} cannot be used: {reason}{others}; mend it, or go on without it by skip_bad=True")
         if not self.meshes:
             raise MeshError(f"there is no mesh to use in {source}; put mesh files there (.ply, .stl, .obj, .off, .glb)")
@@ -248,13 +255,14 @@ def _parameters(rotation: float | None, scale: tuple[float, float], shift: float
 
 
 def _read(
-    source: str | Path | Sequence[MeshLike], keep_open: bool, orient: Orient, split: str | None
+    source: str | Path | Sequence[MeshLike], orient: Orient, split: str | None, *, keep_open: bool, sign: Sign
 ) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
-    from sdm.engine.arguments import check_orient, oriented
+    from sdm.engine.arguments import SignMethod, check_orient, oriented
     from sdm.io import mesh_tree
     from sdm.io.meshes.split_file import files_of_part
 
     check_orient(orient)
+    SignMethod(sign)
     folder = Path()
     if isinstance(source, str | Path):
         folder = Path(source)
@@ -276,7 +284,7 @@ def _read(
             mesh = as_mesh(item).to("cpu")
             # On the host, so that the same meshes come of it whatever the device.
             mesh = oriented(mesh, orient, mesh.device)
-            why = reason_to_reject(mesh, keep_open=keep_open)
+            why = reason_to_reject(mesh, keep_open=keep_open, sign=sign)
         except (SDMError, OSError) as error:
             why = str(error)
         if why is None:

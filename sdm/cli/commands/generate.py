@@ -54,7 +54,8 @@ def generate(
     skip_bad: bool = False,
     split: Annotated[str | None, tyro.conf.arg(metavar="PART", help_behavior_hint="(default: all)")] = None,
     open_meshes: Annotated[
-        Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
+        Literal["reject", "keep"] | None,
+        tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject with --sign winding, else keep)"),
     ] = None,
     orient: Annotated[
         Literal["auto", "parts", "keep"] | None,
@@ -102,8 +103,8 @@ def generate(
         verify: Look for damaged shards of a dataset, and make them again.
         skip_bad: Go on without the files of the folder that cannot be used; they are listed either way.
         split: The part of the folder to use, of those that sdm split made of it.
-        open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
-            is kept follows the generalised winding number.
+        open_meshes: What to do with files of the folder whose mesh has holes or turned faces; with --sign winding the
+            inside of one that is kept follows the generalised winding number.
         orient: auto turns components of the folder's meshes that are inside out; parts turns each patch of faces
             outward by what sees it from outside; keep takes them as they are.
         triangles: About how many triangles a shape of a family has.
@@ -164,7 +165,7 @@ def generate(
     elif source is None:
         raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
     else:
-        known = _describe(source, options)
+        known = _describe(source, options, sign)
     if count is None:
         raise SDMError("say how many samples: --count")
     # Refused now is what can be before meshes are read and kernels compiled.
@@ -240,9 +241,12 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     with CountProgress("maps checked") as progress:
         found = damaged(out, progress)
     if not found:
-        print(f"{out}: all {shard_count(manifest):,} shards are sound")
+        count = shard_count(manifest)
+        print(f"{out}: {f'all {count:,} shards are' if count > 1 else 'its shard is'} sound")
         return None
-    known = manifest["source"] or {} if source is None else _describe(source, options)
+    known = manifest["source"] or {}
+    if source is not None:
+        known = _describe(source, options, known.get("sign"))
     family = _family(known, True, named=source is not None)
     with CountProgress("maps") as progress:
         dataset.verify(out, family, device=device, ray=ray, shards=found, progress=progress)
@@ -273,20 +277,28 @@ def _options(known: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in known.items() if key not in ("family", "folder", "file", "reference")}
 
 
-def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:
+def _describe(source: str, options: dict[str, Any], sign: str | None = None) -> dict[str, Any]:
     from sdm.dataset.family_registry import describe
 
-    return describe(source, options)
+    known = describe(source, options)
+    # By the sign it depends which meshes of a folder can be used.
+    return {**known, "sign": sign} if "folder" in known and sign not in (None, "winding") else known
 
 
 def _family(known: dict[str, Any], skip_bad: bool, *, named: bool) -> Family:
     from sdm.dataset.family_registry import family_from
     from sdm.errors import MeshError
-    from sdm.shapes.triage import KEEP_OPEN
+    from sdm.shapes.triage import FLOOD, KEEP_OPEN
 
-    family = family_from(known, named=named)
+    def as_options(reason: str) -> str:
+        return reason.replace(KEEP_OPEN, "--open-meshes keep").replace(FLOOD, "--sign flood")
+
+    try:
+        family = family_from(known, named=named)
+    except MeshError as error:
+        raise MeshError(as_options(str(error))) from error
     for name, reason in family.rejected:
-        print(f"sdm: {name} is not used: {reason.replace(KEEP_OPEN, '--open-meshes keep')}", file=sys.stderr)
+        print(f"sdm: {name} is not used: {as_options(reason)}", file=sys.stderr)
     if family.rejected and not skip_bad:
         files = "1 file" if len(family.rejected) == 1 else f"{len(family.rejected)} files"
         raise MeshError(

@@ -108,6 +108,18 @@ def test_cavities_and_what_can_be_turned_outward_are_fine():
         assert trimesh.Trimesh(*mesh.numpy(), process=False).volume > 0
 
 
+def test_what_no_winding_number_signs_is_used_where_another_sign_is_wanted():
+    good = meshes()[0]
+    walls = sdm.TriangleMesh(good.vertices, torch.cat([good.faces, good.faces.flip(1)]), "walls")
+    odd = [good, walls, sdm.TriangleMesh(good.vertices, good.faces[1:]), good.flipped()]
+    for sign in ("flood", "none"):
+        assert len(MeshFolder(odd, sign=sign, orient="keep").meshes) == 4
+    assert len(MeshFolder(odd, sign="flood", orient="keep", open_meshes="reject", skip_bad=True).meshes) == 3
+    assert len(MeshFolder(odd, orient="keep", skip_bad=True).meshes) == 1
+    with pytest.raises(MeshError, match=r"no mesh to use: walls cannot be used: .*sign='flood' \(and 1 more\)$"):
+        MeshFolder([walls, odd[2]], skip_bad=True)
+
+
 def test_warped_meshes_do_not_meet_themselves():
     cgal = pytest.importorskip("igl.copyleft.cgal", reason="libigl, which finds self-intersections, is not installed")
     family = MeshFolder([Cochlea(2_000).mesh([3.6, 0.4, 0.14, -0.2]), *meshes()], warp=0.95)
@@ -176,7 +188,7 @@ def test_the_grid_holds_a_large_mesh_among_many(monkeypatch):
     one = sdm.TriangleMesh(small.vertices, small.faces)
     large = sdm.TriangleMesh(10 * one.vertices, one.faces)
     # All are closed and face outward, which takes milliseconds a mesh to find out.
-    monkeypatch.setattr(mesh_folder, "reason_to_reject", lambda mesh, keep_open: None)
+    monkeypatch.setattr(mesh_folder, "reason_to_reject", lambda mesh, **_: None)
     family = MeshFolder([large if n == 7 else one for n in range(1200)], normalize=False, orient="keep")
     low, high = family.bounds()
     theta = family.sample(200, device="cpu")

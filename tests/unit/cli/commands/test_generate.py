@@ -114,6 +114,33 @@ def test_meshes_are_turned_and_signed_as_one_says(tmp_path, folder, capsys):
     assert "--orient is for a folder of meshes" in capsys.readouterr().err
 
 
+def test_doubled_walls_and_holes_under_a_flood(tmp_path, capsys):
+    import trimesh
+
+    ball = trimesh.creation.icosphere(2)
+    walls, out = tmp_path / "walls", tmp_path / "d.zarr"
+    walls.mkdir()
+    ball.export(walls / "b.ply")
+    ball.faces = [*ball.faces, *ball.faces[:, ::-1]]
+    ball.export(walls / "a.ply")
+    assert run(walls, *SMALL, "--skip-bad", "-o", tmp_path / "w.zarr") == 0
+    assert "a.ply is not used: it is closed but encloses no volume" in (said := capsys.readouterr().err)
+    assert "--sign flood" in said
+    assert run(walls, *SMALL, "--sign", "flood", "-o", out) == 0
+    assert capsys.readouterr().err == ""
+    data = SDMDataset(out)
+    assert data.manifest["source"]["sign"] == "flood"
+    assert all(int((data[i].sdm < 0).sum()) > 20 for i in range(5))
+    # The family is made again from the manifest, and from the folder.
+    (out / "sdm/c/0/0/0/0").unlink()
+    assert run("--verify", "-o", out, "--device", "cpu") == 0
+    (out / "sdm/c/1/0/0/0").unlink()
+    assert run(walls, "--verify", "-o", out, "--device", "cpu") == 0
+    (walls / "b.ply").unlink()
+    assert run(walls, *SMALL, "--skip-bad", "-o", tmp_path / "n.zarr") == 2
+    assert "no mesh to use: a.ply cannot be used: it is closed but encloses no volume" in capsys.readouterr().err
+
+
 def test_resume_and_verify_need_no_more_than_the_name(tmp_path, folder, monkeypatch, capsys):
     whole, out = tmp_path / "whole.zarr", tmp_path / "d.zarr"
     assert run(folder, *SMALL, "-o", whole) == 0
