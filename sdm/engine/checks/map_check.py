@@ -49,7 +49,7 @@ def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str |
         return []
     if sign == "flood":
         # The way that faces face does not matter.
-        return [] if inside_voxels else placement_problems(*mesh.bounds, grid) or [NOTHING_SHUT_OFF]
+        return [] if inside_voxels else placement_problems(*mesh.bounds, grid) or _nothing_flooded(mesh, grid)
     found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
     if lost := rounding_problems(grid):
         # Whatever else there is may come of it.
@@ -61,16 +61,33 @@ def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str |
     return misplaced + found or _though_closed(mesh, grid)
 
 
+def _nothing_flooded(mesh: TriangleMesh, grid: Grid) -> list[str]:
+    """Said of a mesh whose flood comes everywhere: a closed one has no gap, and no room for a voxel."""
+    report, thin = inspect_mesh(mesh), thinness(*mesh.bounds, grid)
+    if report.shut_area < NEARLY_CLOSED or report.volume == 0 or not (thin or report.closed):
+        return [NOTHING_SHUT_OFF]
+    text = f"{_thin_walls(grid)}, or fill what it walls in by a hole_size (--hole-size) above the width of the opening"
+    return [thin or text]
+
+
+def _thin_walls(grid: Grid) -> str:
+    return (
+        f"nothing is inside although the mesh is closed: it is thinner than the voxels, {max(grid.spacing):.3g}; use a "
+        "finer grid"
+    )
+
+
 def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
     """Said of a mesh of which nothing is inside although it has hardly a gap."""
     thin = thinness(*mesh.bounds, grid)
     if thin is None and not resolves(*mesh.bounds, grid):
         return []
-    shut = inspect_mesh(mesh).shut_area
+    report = inspect_mesh(mesh)
+    shut = report.shut_area
     if shut < NEARLY_CLOSED:
         return []
-    if thin is not None:
-        return [thin]
+    if thin is not None or report.closed:
+        return [thin or _thin_walls(grid)]
     text = (
         f"nothing is inside although components that are closed, or open by little, make up {100 * shut:.3g} % of the "
         f"area: they are thinner than the voxels, or faces face all ways; use a finer grid, {ORIENT_PARTS} or {FLOOD}"

@@ -86,6 +86,32 @@ def test_what_was_probably_not_meant_is_said_once(name):
     assert found_by(lambda: [index.signed_distance_map(grid) for _ in range(2)]) == messages
 
 
+def test_a_closed_mesh_without_a_gap_is_called_thin_and_nothing_is_said_of_gaps():
+    shell = trimesh.creation.annulus(r_min=9.999, r_max=10, height=12)
+    grid = Grid((-14.2, -14.3, -9.1), (1, 1, 1), (29, 29, 19))
+    walls, lid = TriangleMesh(shell.vertices, shell.faces, "walls"), CASES["thinner than a voxel"]
+    for mesh, at, sign, words in (
+        (walls, grid, "winding", ["although the mesh is closed: it is thinner than the voxels, 1; use a finer grid"]),
+        (walls, grid, "flood", ["thinner than the voxels, 1;", "--hole-size"]),
+        (*lid[:2], "flood", ["0.4 thick along z", "a finer grid"]),
+    ):
+        (said,) = found_by(
+            lambda mesh=mesh, at=at, sign=sign: sdm.signed_distance_map(mesh, at, device="cpu", sign=sign)
+        )
+        assert all(word in said for word in words)
+        assert "gaps" not in said
+        assert "--orient" not in said
+    # What is said to help does.
+    assert found_by(lambda: sdm.signed_distance_map(walls, grid, device="cpu", sign="flood", hole_size=25)) == []
+    doubled = TriangleMesh(BALL.vertices, [*BALL.faces[9:], *BALL.faces[9:, ::-1]])
+    assert (
+        "through gaps"
+        in found_by(
+            lambda: sdm.signed_distance_map(doubled, Grid((-24,) * 3, (2,) * 3, (25,) * 3), device="cpu", sign="flood")
+        )[0]
+    )
+
+
 def test_of_a_list_each_mesh_is_named_by_its_number():
     mesh, grid, _ = CASES["inside out"]
     (alone,) = found_by(lambda: sdm.signed_distance_map(mesh, grid, device="cpu"))
