@@ -16,7 +16,7 @@ from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.surface import Method, check_method
 from sdm.errors import GridError, MeshError, SDMError
-from sdm.inspect import inspect_mesh
+from sdm.inspect import inspect_mesh, orient_outward
 from sdm.inspect.positions import are_distinct
 from sdm.inspect.quick_look import look_at
 from sdm.remeshing.beads import JOINED, without_beads
@@ -83,10 +83,11 @@ def watertight(
             that sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a
             mesh is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the
             rim of a sheet, which would be surfaces of their own, are dropped.
-        hole_size: Gaps that are narrower than this length are closed; by default two voxels.
+        hole_size: Gaps that are narrower than this length are closed, where hidden parts are dropped; by default two
+            voxels.
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
-            cavities: of a closed mesh with faces that agree by winding numbers, of others as the space that is more
-            than `offset` away from all faces.
+            cavities: of a closed mesh with faces that agree by winding numbers, once what is inside out is turned; of
+            others as the space that is more than `offset` away from all faces.
         method: `"cubes"`, or `"dual"`: dual contouring with the mesh's normals keeps edges and corners sharp; see
             `SDM.to_mesh`.
         device: Where to compute; by default a GPU if there is one.
@@ -108,6 +109,8 @@ def watertight(
     where = choose_device(device, mesh.vertices)
     closed, agreeing = closedness(mesh)
     sign = _sign(closed and agreeing, hidden)
+    if sign == "winding":
+        mesh = orient_outward(mesh)
     # Without a sign nothing is at a distance of 0 or less.
     exact = closed and sign != "none"
     grid = _grid(mesh, resolution, 0.0 if exact and offset is None else offset)
@@ -157,6 +160,10 @@ def check_options(
         raise SDMError(f"hidden is {hidden!r}; use 'drop' or 'keep'")
     check_method(method)
     SignMethod("flood", hole_size)
+    if hidden == "keep" and hole_size is not None:
+        raise SDMError(
+            'hole_size is the width of gaps that a flood passes; hidden="keep" (--hidden keep) has no flood: leave it out'
+        )
     if offset is not None and not (math.isfinite(offset) and offset >= 0):
         raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
     # A text or a truth value is no number of voxels, nor is NaN.

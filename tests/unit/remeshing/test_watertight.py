@@ -112,10 +112,22 @@ def test_hidden_cavities_are_dropped_or_kept(hidden, share):
     assert (report.input_to_output.largest > 0.4) == (hidden == "drop")
 
 
+def test_a_cavity_is_kept_of_what_is_inside_out():
+    vertices, faces = ball()
+    hollow = joined((vertices, faces), (vertices / 2, faces[:, ::-1]))
+    expected = sdm.watertight(hollow, 40, hidden="keep")
+    found = sdm.watertight(hollow.flipped(), 40, hidden="keep")
+    assert torch.equal(found.vertices, expected.vertices)
+    assert torch.equal(found.faces, expected.faces)
+    # Nor is one of two parts lost.
+    parts = joined((vertices, faces), (np.add(vertices, [3, 0, 0]), faces[:, ::-1]))
+    assert sdm.inspect_mesh(sdm.watertight(parts, 40, hidden="keep")).components == 2
+
+
 def test_an_open_shell_with_a_hidden_inside_keeps_its_hollow():
     vertices, faces = ball()
     mesh = TriangleMesh(vertices, faces[1:], "holed")
-    filled, hollow = (sdm.watertight(mesh, 30, hole_size=0.5, hidden=hidden) for hidden in ("drop", "keep"))
+    filled, hollow = sdm.watertight(mesh, 30, hole_size=0.5), sdm.watertight(mesh, 30, hidden="keep")
     assert_closed_manifold(hollow)
     assert areas_and_volume(hollow)[1] < 0.5 * areas_and_volume(filled)[1]
 
@@ -182,6 +194,8 @@ def test_options_that_make_no_sense():
         sdm.watertight(mesh, 20, offset=-1)
     with pytest.raises(SDMError, match="hole_size is -1"):
         sdm.watertight(mesh, 20, hole_size=-1)
+    with pytest.raises(SDMError, match="hole_size is the width of gaps"):
+        sdm.watertight(mesh, 20, hole_size=1, hidden="keep")
     with pytest.raises(GridError, match="resolution 4 is too low"):
         sdm.watertight(mesh, 4)
     with pytest.raises(GridError, match="GiB"):
