@@ -140,6 +140,19 @@ def test_what_is_wrong_with_a_family_is_found(place, capsys):
     assert "derivatives" in found.problems[0]
 
 
+def test_a_sheet_has_the_triangles_that_were_asked_for(place, monkeypatch):
+    """Also of solids, which cannot be made again from others of their kind."""
+    drawn = []
+    monkeypatch.setattr("sdm.viz.family_sheet.family_sheet", lambda shapes, *_, **__: drawn.append(len(shapes[0][1])))
+    for words in (["cuboid", "--triangles", "200"], ["cuboid"], ["cochlea"], ["cochlea", "--triangles", "900"]):
+        assert main(["family", "show", *words, "-o", "sheet.png", "--count", "0"]) == 0
+    assert drawn[0] == 192
+    assert drawn[1] == len(load_family("cuboid").faces)
+    assert abs(drawn[2] - 4000) < 400
+    assert abs(drawn[3] - 900) < 200
+    assert main(["family", "show", "cuboid", "--triangles", "-3", "-o", "sheet.png"]) == 2
+
+
 def test_commands_take_each_kind_of_name(place, capsys):
     assert main(["family", "show", "model.npz", "-o", "sheet.png", "--count", "1"]) == 0
     assert (place / "sheet.png").stat().st_size > 10_000
@@ -149,3 +162,5 @@ def test_commands_take_each_kind_of_name(place, capsys):
     capsys.readouterr()
     assert main(["generate", "-o", "a.zarr", "--verify"]) == 0
     assert main(["family", "show", "model.npz", "-o", "sheet.txt"]) == 2
+    assert main(["family", "show", "model.npz", "-o", "new.png", "--triangles", "600"]) == 2
+    assert "it takes no triangles" in capsys.readouterr().err

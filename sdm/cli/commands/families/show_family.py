@@ -7,6 +7,9 @@ from typing import Annotated
 
 import tyro
 
+# Triangles that a small picture of a shape needs.
+ENOUGH = 4000
+
 
 def show(
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FAMILY")],
@@ -14,7 +17,9 @@ def show(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     count: int = 12,
-    triangles: int = 4000,
+    triangles: Annotated[
+        int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: few, where the family has a choice)")
+    ] = None,
     seed: int = 0,
 ) -> int | None:
     """Draw a sheet of a family: the centre of its box, both ends of each parameter, corners, and random shapes.
@@ -23,7 +28,7 @@ def show(
         name: cochlea, ..., FILE.py:NAME (the file is run), or a shape model, MODEL.npz.
         out: Picture to write: .png, .pdf, .svg, .jpg or .webp.
         count: Random shapes.
-        triangles: About how many triangles a shape is drawn with, where that can be chosen.
+        triangles: About how many triangles a shape is drawn with, of a family that can be made of fewer or more.
         seed: Whole number that the random ones depend on.
     """
     import torch
@@ -35,8 +40,9 @@ def show(
     if not 0 <= count <= 60:
         raise MeshError(f"--count is {count}; give 0 to 60")
     check_picture(out)
-    family = load_family(name)
-    family = family.with_triangles(triangles) or family
+    family = load_family(name, triangles=triangles)
+    if triangles is None:
+        family = family.with_triangles(ENOUGH) or family
     width = len(family.parameters)
     unit, captions = [torch.full((width,), 0.5, device="cpu")], ["centre"]
     for number, parameter in enumerate(family.parameters[:6]):
