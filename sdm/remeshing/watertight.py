@@ -162,7 +162,8 @@ def check_options(
     SignMethod("flood", hole_size)
     if hidden == "keep" and hole_size is not None:
         raise SDMError(
-            'hole_size is the width of gaps that a flood passes; hidden="keep" (--hidden keep) has no flood: leave it out'
+            'hole_size is the width of gaps that a flood passes, and hidden="keep" (--hidden keep) has no flood: leave '
+            "it out"
         )
     if offset is not None and not (math.isfinite(offset) and offset >= 0):
         raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
