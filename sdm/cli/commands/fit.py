@@ -32,8 +32,13 @@ def fit(
     estimate_formation: bool = False,
     residuals: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     free_form: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
-    model: Literal["partial-volume", "labels"] = "partial-volume",
-    components: tuple[int, int] = (1, 1),
+    model: Annotated[
+        Literal["partial-volume", "labels"] | None,
+        tyro.conf.arg(metavar="{partial-volume,labels}", help_behavior_hint="(default: partial-volume)"),
+    ] = None,
+    components: Annotated[
+        tuple[int, int] | None, tyro.conf.arg(metavar="N N", help_behavior_hint="(default: 1 1)")
+    ] = None,
     fine: Annotated[
         float | None,
         tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.15; of other sizes in proportion)"),
@@ -97,8 +102,17 @@ def fit(
 
     refuse_inputs([out, mesh, picture, residuals, free_form], [image, weights])
     _check_targets(out, [mesh, free_form], picture, residuals)
-    given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
+    of_image = {"model": model, "components": components, "blur": blur, "fine": fine}
+    given = {**of_image, "turn": turn}
+    if points is not None:
+        estimates = {"estimate_blur": estimate_blur, "estimate_formation": estimate_formation, "mirror": mirror}
+        targets = {"picture": picture, "residuals": residuals, "free_form": free_form}
+        _refuse_with_points({**targets, **estimates, **of_image})
     options = FitOptions(**{name: value for name, value in given.items() if value is not None})
+    if model == "labels" and not (blur is None and fine is None):
+        raise SDMError(
+            "--blur and --fine are of --model partial-volume: with labels a voxel is one point, and has no blur"
+        )
     _check_estimates(estimate_blur, estimate_formation, options)
     choose_device(device)
     files = FitFiles(out, mesh, picture, residuals, free_form)
@@ -112,7 +126,6 @@ def fit(
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
         if points is not None:
-            _refuse_with_points(picture, residuals or free_form, estimate_blur or estimate_formation, mirror)
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
         return fit_any_family(
@@ -121,6 +134,8 @@ def fit(
         )  # fmt: skip
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
+    if weights is not None and backend == "exact":
+        raise SDMError("--weights are a surrogate's: leave them out, or ask for --backend surrogate or hybrid")
     scan = sdm.load(image)
     first, finish = make_backends(
         backend, triangles=TRIANGLES if triangles is None else triangles, weights=weights, device=device, mirror=mirror
@@ -134,15 +149,15 @@ def fit(
             options=options,
             report=progress,
         )
-    exact = finish or exact_of(first) or first
-    if estimate_formation:
-        from sdm.fit.solve.formation import estimate as formations
+        exact = finish or exact_of(first) or first
+        if estimate_formation:
+            from sdm.fit.solve.formation import estimate as formations
 
-        result = formations.estimate_formation(scan.values, scan.grid, exact, result, options)
-    elif estimate_blur and result.trusted:
-        from sdm.fit.solve import estimate_blur as blurs
+            result = formations.estimate_formation(scan.values, scan.grid, exact, result, options, report=progress)
+        elif estimate_blur and result.trusted:
+            from sdm.fit.solve import estimate_blur as blurs
 
-        result = blurs.estimate_blur(scan.values, scan.grid, exact, result, options)
+            result = blurs.estimate_blur(scan.values, scan.grid, exact, result, options, report=progress)
     write_fit(files, scan, finish or first, result, blur=options.blur)
     return None
 
@@ -159,16 +174,15 @@ def _check_estimates(blur: bool, formation: bool, options: FitOptions) -> None:
         raise SDMError("--estimate-blur and --estimate-formation go on from --blur: give one above 0")
 
 
-def _refuse_with_points(picture: Path | None, residuals: Path | None, estimate: bool, mirror: bool) -> None:
+def _refuse_with_points(options: dict[str, object]) -> None:
+    """Refuse options that a fit to points has no use for."""
     from sdm.errors import SDMError
 
-    if picture is not None:
-        raise SDMError("--picture is of an image's fit: leave it out with --points")
-    if residuals is not None or estimate or mirror:
-        raise SDMError(
-            "--residuals, --free-form, --estimate-blur, --estimate-formation and --mirror are of an image's fit: leave "
-            "them out with --points"
-        )
+    given = [f"--{name.replace('_', '-')}" for name, value in options.items() if not (value is None or value is False)]
+    if given:
+        names = " and ".join([*([", ".join(given[:-1])] if given[1:] else []), given[-1]])
+        verb, them = ("are", "them") if given[1:] else ("is", "it")
+        raise SDMError(f"{names} {verb} of an image's fit: leave {them} out with --points")
 
 
 def _check_targets(out: Path, meshes: list[Path | None], picture: Path | None, residuals: Path | None) -> None:

@@ -44,14 +44,13 @@ class FitProgress(StageProgress):
     def __enter__(self) -> Self:
         if self._notice is not None:
             print(f"sdm: {self._name}: {self._notice}", file=sys.stderr, flush=True)
-        # The search for a place to begin tells of no steps.
         self.draw("start", 0, None)
         return super().__enter__()
 
     def __call__(self, stage: str, step: int, *more: object) -> None:
         """A stage's step, by number."""
         super().__call__(stage, step, *more)
-        if self._notice is None:
+        if self._notice is None or stage == "start":
             return
         if self._first is None:
             self._first = time.monotonic()

@@ -9,6 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sdm.cli.common.progress import StageProgress
 from sdm.io.files.json_file import write_json
 
 if TYPE_CHECKING:
@@ -143,7 +144,8 @@ def save_free_form(
     from sdm.io.meshes.write import save_mesh
 
     own = blur if result.blur is None else result.blur[0]
-    found = free_form(scan.values, scan.grid, start(), blur=own, device=device)
+    with StageProgress() as progress:
+        found = free_form(scan.values, scan.grid, start(), blur=own, device=device, report=progress)
     save_mesh(found.mesh, path)
     print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +31,15 @@ WIDE, LOOKS, STEP = 1.8, 9, 0.02
 MOST_STEPS, EM_STEPS = 8, 4
 
 
-def estimate_blur(image: Any, grid: GridLike, backend: Backend, result: FitResult, options: FitOptions) -> FitResult:
+def estimate_blur(
+    image: Any,
+    grid: GridLike,
+    backend: Backend,
+    result: FitResult,
+    options: FitOptions,
+    *,
+    report: Callable[[str, int], None] | None = None,
+) -> FitResult:
     """Go on from a fit with the blur as one unknown more.
 
     Args:
@@ -38,6 +48,7 @@ def estimate_blur(image: Any, grid: GridLike, backend: Backend, result: FitResul
         backend: Exact distances.
         result: Its result, by the blur of `options`.
         options: Its options; "partial-volume" alone has a blur.
+        report: Called with "blur" and the number of each step, first of all with 0.
 
     Returns:
         The result with shape, pose and `blur` at their joint optimum, its covariance with the blur integrated out.
@@ -52,12 +63,21 @@ def estimate_blur(image: Any, grid: GridLike, backend: Backend, result: FitResul
     prior = prior_of(grid, backend, options)
     state, appearance, blur = result.state, result.appearance, options.blur
     outcome: Outcome | None = None
+    told, numbers = report or (lambda *_: None), itertools.count()
+    told("blur", next(numbers))
     for _ in range(TURNS):
         before = blur
         blur = _best_blur(values, prior, state, appearance, blur, lambda b: _renderer(grid, backend, options, b))
         renderer = _renderer(grid, backend, options, blur)
         outcome = minimise(
-            renderer, values, state, appearance, prior, most_steps=MOST_STEPS, tolerance=options.tolerance
+            renderer,
+            values,
+            state,
+            appearance,
+            prior,
+            most_steps=MOST_STEPS,
+            tolerance=options.tolerance,
+            report=lambda *_: told("blur", next(numbers)),
         )
         state, appearance = outcome.point.state, outcome.point.appearance
         if abs(blur / before - 1) < STILL:

@@ -33,7 +33,7 @@ def fit_family(
     with_blur: bool = False,
     with_formation: bool = False,
     device: torch.device | str | None = None,
-    report: Callable[[str, int, Point], None] | None = None,
+    report: Callable[[str, int, Point | None], None] | None = None,
 ) -> FitResult:
     """Fit any family's parameters and a rigid pose to an image by exact distances.
 
@@ -45,7 +45,7 @@ def fit_family(
         with_blur: Estimate the blur with the shape; that of the options is where it begins.
         with_formation: Estimate blur, uneven intensities and the noise's correlation with the shape.
         device: Where to compute; by default a GPU if there is one.
-        report: As of `fit_shape`.
+        report: As of `fit_shape`; of the steps after that it is not told where they led, but None.
 
     Returns:
         As `fit_shape`, in the image's lengths.
@@ -72,7 +72,7 @@ def fit_scaled(
     options: FitOptions | None = None,
     with_blur: bool = False,
     with_formation: bool = False,
-    report: Callable[[str, int, Point], None] | None = None,
+    report: Callable[[str, int, Point | None], None] | None = None,
 ) -> FitResult:
     """As `fit_family`, by a backend whose lengths are `factor` times those of the image and of the options."""
     grid = as_grid(grid)
@@ -83,10 +83,11 @@ def fit_scaled(
     own = replace(options, pose=pose, length=length, **lengths)
     there = grid if factor == 1 else scaled_grid(grid, factor)
     found = fit_shape(image, there, backend, options=own, report=report)
+    told = None if report is None else lambda stage, step: report(stage, step, None)
     if with_formation:
-        found = estimate_formation(image, there, backend, found, own)
+        found = estimate_formation(image, there, backend, found, own, report=told)
     elif with_blur and found.trusted:
-        found = estimate_blur(image, there, backend, found, own)
+        found = estimate_blur(image, there, backend, found, own, report=told)
     blur = None if found.blur is None else (found.blur[0] / factor, found.blur[1] / factor)
     formation = None if found.formation is None or blur is None else replace(found.formation, blur=blur)
     return replace(found, posterior=unscaled(found.posterior, factor), blur=blur, formation=formation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -111,7 +112,8 @@ def fit_shape(
             estimate is that of the exact backend alone (hybrid). Without it, a surrogate that has an exact backend is
             anchored by it near the end: two exact evaluations in all.
         options: How to fit.
-        report: Called with the stage's name, the number of each step and where it led.
+        report: Called with the stage's name, the number of each step and where it led; those of the search for a place
+            to begin, in a coarse image, are counted from place to place.
 
     Returns:
         The maximum of the posterior density and its Laplace approximation. `result.trusted` says whether to believe
@@ -162,7 +164,7 @@ def _fit(
     prior = prior_of(grid, backend, options)
     names = [p.name for p in backend.parameters]
     small, wide = coarser(values, grid)
-    start = _begin(small, wide, rough, prior, options)
+    start = _begin(small, wide, rough, prior, options, report)
     steps = {"start": start.steps}
     hopeless = diagnose(small, wide, start, prior, names).hopeless
 
@@ -215,7 +217,14 @@ def _fit(
     )
 
 
-def _begin(small: Tensor, wide: Grid, backend: Backend, prior: Prior, options: FitOptions) -> Outcome:
+def _begin(
+    small: Tensor,
+    wide: Grid,
+    backend: Backend,
+    prior: Prior,
+    options: FitOptions,
+    report: Callable[[str, int, Point], None] | None,
+) -> Outcome:
     """The best of a few fits to a coarse image."""
     far = options.turn >= FAR_TURN
     turns = all_turns(options.turn, small.device) if far else _turns(options.turn, small.device)
@@ -225,6 +234,7 @@ def _begin(small: Tensor, wide: Grid, backend: Backend, prior: Prior, options: F
     # The voxel's own box does most of the blurring.
     renderer = Renderer(wide, backend, blur=options.blur, length=COARSE_LENGTH, fine=max(wide.spacing) / 2)
     best: Outcome | None = None
+    numbers = itertools.count(1)
     for candidate in found[: max(1, options.starts * (2 if far else 1))]:
         share = renderer(candidate.state, derivatives=False).share
         appearance = MODELS[options.model].start(small.flatten(), share.flatten(), options.components)
@@ -236,6 +246,7 @@ def _begin(small: Tensor, wide: Grid, backend: Backend, prior: Prior, options: F
             prior,
             most_steps=options.most_steps,
             tolerance=COARSE_TOLERANCE,
+            report=None if report is None else lambda _, at: report("start", next(numbers), at),
         )
         if best is None or outcome.point.objective < best.point.objective:
             best = outcome

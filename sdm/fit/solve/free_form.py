@@ -63,6 +63,7 @@ def free_form(
     blur: float,
     roughness: float | None = None,
     device: torch.device | str | None = None,
+    report: Callable[[str, int], None] | None = None,
 ) -> FreeForm:
     """Refine a surface to an image, free of any family.
 
@@ -74,6 +75,7 @@ def free_form(
         roughness: How far a vertex moves from where its neighbours do, a standard deviation in the grid's unit; by
             default a tenth of the mean edge.
         device: Where to compute; by default a GPU if there is one.
+        report: Called with "free form" and the number of each step, of 16.
 
     Raises:
         GridError: The image does not fit its grid.
@@ -88,10 +90,12 @@ def free_form(
     smooth = 1 / (edge / 10 if roughness is None else roughness) ** 2
     voxel = min(grid.spacing)
     noise, levels = 0.0, (0.0, 0.0)
-    for length in LENGTHS:
+    for number, length in enumerate(LENGTHS):
         renderer = Renderer(grid, surface, blur=blur, length=length * voxel, fine=max(grid.spacing))
-        for _ in range(STEPS):
+        for step in range(STEPS):
             noise, levels = _step(surface, renderer, values, smooth, FURTHEST * voxel)
+            if report is not None:
+                report("free form", number * STEPS + step + 1)
     moved = float((surface.vertices - surface.rest).square().sum(1).mean().sqrt())
     found = TriangleMesh(surface.vertices.float(), surface.faces, mesh.name, check=False)
     return FreeForm(found, moved, noise, *levels)

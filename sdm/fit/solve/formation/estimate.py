@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -81,7 +82,14 @@ def _seen(renderer: Renderer, blur: float, state: State) -> _Seen:
 
 
 def estimate_formation(
-    image: Any, grid: GridLike, backend: Backend, result: FitResult, options: FitOptions, *, degree: int = 1
+    image: Any,
+    grid: GridLike,
+    backend: Backend,
+    result: FitResult,
+    options: FitOptions,
+    *,
+    degree: int = 1,
+    report: Callable[[str, int], None] | None = None,
 ) -> FitResult:
     """Go on from a fit with the image's formation as further unknowns.
 
@@ -92,6 +100,7 @@ def estimate_formation(
         result: Its result.
         options: Its options: "partial-volume", one component inside and one outside, a blur above 0.
         degree: Of the polynomials by which intensities inside and outside may change over the image; 0: even.
+        report: Called with "formation" and the number of each step, first of all with 0.
 
     Returns:
         The result at the joint optimum of shape, pose, blur and intensities. Its covariance has the others integrated
@@ -124,6 +133,8 @@ def estimate_formation(
     begun = Intensities(basis, means, noise, result.appearance.least)
     start = math.log(result.blur[0]) if result.blur is not None else named
     error: Discretisation | None = None
+    told, numbers = report or (lambda *_: None), itertools.count()
+    told("formation", next(numbers))
 
     def evaluate(state: State, log_blur: float, seen: _Seen, intensities: Intensities) -> _At:
         objective = _objective(voxels, seen.share, intensities, state, log_blur)
@@ -161,6 +172,7 @@ def estimate_formation(
             if lower is None:
                 return at, full, length, converged, steps
             at, steps = with_noise(lower), steps + 1
+            told("formation", next(numbers))
 
     at, _, _, _, before = descended(with_noise(tried(result.state, start, begun)), NEAR)
     # Far below the noise of most images, and far above the intervals of those with next to none.

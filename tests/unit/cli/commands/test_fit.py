@@ -17,7 +17,10 @@ from sdm.shapes import Cochlea
 QUICK = ["--triangles", "1000", "--fine", "0.5", "--device", "cpu"]
 
 
-def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_surface_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sdm.cli.common.progress.LOG_INTERVAL", 0.0)
     backend = ExactBackend(Cochlea(1_000), "cpu")
     truth = random_state(backend, 8, edge=0.3)
     image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.3, noise=100.0), seed=0)
@@ -38,7 +41,10 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     free = sdm.load_mesh(tmp_path / "free.ply")
     apart = sdm.MeshIndex(mesh, "cpu").signed_distance(free.vertices).abs()
     assert 1e-3 < float(apart.mean()) < 0.1
-    said = capsys.readouterr().out
+    said, log = capsys.readouterr()
+    # All that takes time tells of its steps.
+    stages = [line.removeprefix("sdm: ").partition(",")[0] for line in log.splitlines() if ", step " in line]
+    assert list(dict.fromkeys(stages)) == ["start", "fine", "formation", "free form"]
     assert "free of the family" in said
     assert "90 % within" in said
     assert "counts" in said

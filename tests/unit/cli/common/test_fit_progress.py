@@ -40,11 +40,15 @@ def test_where_nothing_tells_the_shape(values):
 
 def test_how_long_it_takes_is_said_once_steps_are_timed(capsys):
     with FitProgress(Path("scan.nii.gz"), volume(100), FitOptions()) as progress:
+        # Of a coarse image.
+        progress("start", 1, None)
+        progress("start", 2, None)
+        (size,) = capsys.readouterr().err.splitlines()
+        assert size.startswith("sdm: scan.nii.gz: 100 x 100 x 100 voxels")
         for stage in ("fine", "finish"):
             for step in (1, 2, 3):
                 progress(stage, step, None)
-    size, pace = capsys.readouterr().err.splitlines()
-    assert size.startswith("sdm: scan.nii.gz: 100 x 100 x 100 voxels")
+    (pace,) = capsys.readouterr().err.splitlines()
     assert "a step takes about" in pace
 
 

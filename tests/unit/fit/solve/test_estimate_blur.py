@@ -22,7 +22,10 @@ def test_a_wrong_blur_is_mended():
     image = simulate(backend, state, Scanner(spacing=0.8, blur=0.6, noise=40), seed=1, grid=grid)
     options = FitOptions(blur=0.4, fine=0.4)
     first = fit_shape(image.values, grid, backend, options=options)
-    found = estimate_blur(image.values, grid, backend, first, options)
+    steps = []
+    found = estimate_blur(image.values, grid, backend, first, options, report=lambda *told: steps.append(told))
+    assert steps == [("blur", number) for number in range(len(steps))]
+    assert len(steps) > 2
     assert found.blur is not None
     blur, deviation = found.blur
     assert found.record()["blur"]["estimate"] == blur
