@@ -126,6 +126,23 @@ def start_reading(lists: CandidateLists, first: int, count: int):
 
 
 @wp.func
+def start_if_complete(lists: CandidateLists, first: int, count: int):
+    """`start_reading` of chains of which some may lack room: then the list's end, as there is nothing to read."""
+    reader = Reader()
+    if count == 1:
+        # Both numbers at once: one after the other they are waited for twice.
+        head = lists.heads[first]
+        length = lists.lengths[first]
+        reader.chain = first
+        reader.end = first + 1
+        reader.chunk = head
+        reader.left = wp.where(head >= 0, length, 0)
+    elif list_length(lists, first, count) >= 0:
+        reader = start_reading(lists, first, count)
+    return reader
+
+
+@wp.func
 def read_entry(pool: ChunkPool, reader: Reader, lane: int):
     """A lane's entry, or -1 if there is none for it."""
     if reader.at + lane < wp.min(reader.left, ROOM):

@@ -29,7 +29,7 @@ from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import set_array, threads
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_GROUPS, GPU_LANES, gpu_workers
 from sdm.kernels.primitives.shared_stacks import STACK
-from sdm.kernels.winding.column_sums import slab_winding
+from sdm.kernels.winding.column_sums import begin_crossings, slab_winding
 from sdm.kernels.winding.winding_number import Winding
 
 # Gives a context whose result makes what comes after it wait for what was launched in it; `since`: what comes before
@@ -112,12 +112,16 @@ def query_slab(
     with beside(since=pending.since) as zeroed:
         if work is not None:
             work.begin_pass(plan, 0)
+    # In the branch of the winding numbers, so that these alone wait for it.
+    with beside(since=pending.since):
+        crossings = None if winding is None else begin_crossings(winding, slab, values, empty)
     with beside() as join:
         if winding is None:
             values.zero_()
         else:
             # This is bound by memory, and making lists is not.
-            slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns, pending.boundary)
+            boundary = pending.boundary
+            slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns, boundary, crossings=crossings)
     out = output_of(target, empty)
     zeroed()
     if work is None:

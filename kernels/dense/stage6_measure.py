@@ -27,11 +27,15 @@ from sdm.kernels.dense.stage5_select import block_of
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import BY_GRID, Output, Slab, slab_of
 from sdm.kernels.launch import launch
-from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM
+from sdm.kernels.primitives.atomics import ask_for_next, fetch_add_once
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, gpu_workers, int_from_lane
 from sdm.kernels.primitives.shared_stacks import small_stack_of
 
 wp.set_module_options({"enable_backward": False})
+
+# Thread blocks that a multiprocessor of a GPU holds, if grids may differ and if they do not: what is read of grids that
+# differ costs registers, and what others need for winning features memory.
+MEASURE_BLOCKS_PER_SM = BLOCKS_PER_SM, 5
 
 
 @wp.func
@@ -89,6 +93,8 @@ def measure_scheduled(
     total = parts * boxes
     item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
     while item < total:
+        # Asked for while this one is measured, as it takes a while.
+        following = ask_for_next(schedule.counters, NEXT_BLOCK, lane)
         listed, eighth = list_of(grid, item / parts, bricks)
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         here = slab_of(slab, block.mesh)
@@ -123,11 +129,13 @@ def measure_scheduled(
                 lane,
                 lanes,
             )
-        item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
+        item = int_from_lane(following, 0)
 
 
-def _measure_blocks_kernel(of_faces: Any, of_grid: Any, of_groups: Any, module: str | None = None) -> Any:
-    @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module=module)
+def _measure_blocks_kernel(
+    of_faces: Any, of_grid: Any, blocks_per_sm: int, of_groups: Any, module: str | None = None
+) -> Any:
+    @wp.kernel(launch_bounds=(128, blocks_per_sm), enable_backward=False, module=module)
     def _measure_blocks(
         begin: int,
         lanes: int,
@@ -168,12 +176,14 @@ def _measure_blocks_kernel(of_faces: Any, of_grid: Any, of_groups: Any, module: 
     return _measure_blocks
 
 
-_MEASURE_BLOCKS = [_measure_blocks_kernel(*own, BY_GROUPS[1]) for own in zip(BY_FACES, BY_GRID, strict=True)]
+_MEASURE_BLOCKS = [
+    _measure_blocks_kernel(*own, BY_GROUPS[1]) for own in zip(BY_FACES, BY_GRID, MEASURE_BLOCKS_PER_SM, strict=True)
+]
 
 
 # In modules of their own, so that who does not ask for them does not wait until they are compiled: small maps, whose
 # lists are made by several groups and whose blocks are measured by several, and closest points.
-_MEASURE_SHARES = _measure_blocks_kernel(BY_FACES[0], BY_GRID[0], BY_GROUPS[0], "unique")
+_MEASURE_SHARES = _measure_blocks_kernel(BY_FACES[0], BY_GRID[0], BLOCKS_PER_SM, BY_GROUPS[0], "unique")
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique")
@@ -269,7 +279,7 @@ def measure_blocks(
     kernel: wp.Kernel | None = None,
     more: Sequence[Any] = (),
 ) -> None:
-    """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes.
+    """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes, or more.
 
     All else is read; `scratch` and `stacks` are for this alone. Voxels of blocks whose list found no room become
     infinite with their sign, and are counted in `out.missed`. With room for winners in `out` those are written too;
@@ -280,4 +290,7 @@ def measure_blocks(
     plain = _MEASURE_BLOCKS[alike] if blocks.shares == 1 else _MEASURE_SHARES
     plain = _measure_together if schedule.together else plain
     chosen = kernel or (_measure_winners if out.winners.shape[0] else plain)
-    launch(chosen, workers * lanes, inputs, out.values.device, smallest=1)
+    device = out.values.device
+    if device.is_cuda and chosen is _MEASURE_BLOCKS[True]:
+        workers = gpu_workers(device, MEASURE_BLOCKS_PER_SM[True])
+    launch(chosen, workers * lanes, inputs, device, smallest=1)

@@ -152,3 +152,18 @@ def fetch_add_once(counts: wp.array(dtype=wp.int32), index: int, value: int, lan
 def arrive(counts: wp.array(dtype=wp.int32), index: int) -> int:
     """Add one to a count; whoever finds that all others have been there sees what they had written before."""
     ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    // Not an addition: a compiler would add for all lanes at once, and has them wait for what comes of it.
+    return lane == 0 ? atomicInc(reinterpret_cast<unsigned*>(counts.data + index), 0x7fffffffu) : 0;
+#else
+    return __atomic_fetch_add(counts.data + index, 1, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def ask_for_next(counts: wp.array(dtype=wp.int32), index: int, lane: int) -> int:
+    """`fetch_add_once` of 1 whose result the first lane alone gets, and does not wait for before it is looked at."""
+    ...

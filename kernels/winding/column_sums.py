@@ -19,6 +19,13 @@ from sdm.kernels.launch import launch, new_zeros, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import boundary_winding
+from sdm.kernels.winding.columns.packed_crossings import (
+    Crossings,
+    can_be_packed,
+    count_full,
+    new_packed,
+    sum_packed,
+)
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.eights.boxes_by_caps import open_caps_by_eights
 from sdm.kernels.winding.eights.boxes_by_edges import open_edges_by_eights
@@ -54,6 +61,8 @@ def _scan_convert(
     lanes: int,
     most: int,
     counts: wp.array(dtype=wp.int32),
+    full: wp.array(dtype=wp.int32),
+    packed: int,
     large: wp.array(dtype=wp.vec2i),
     larges: wp.array(dtype=wp.int32),
 ):
@@ -61,7 +70,7 @@ def _scan_convert(
     thread = begin + wp.tid()
     slot = thread / lanes
     lane = thread % lanes
-    columns = mark_triangle(tree, slab, counts, slot, most, lane, lanes)
+    columns = mark_triangle(tree, slab, counts, full, packed, slot, most, lane, lanes)
     if columns / lanes >= most and lane == 0:
         large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns)
 
@@ -74,6 +83,8 @@ def _scan_large(
     lanes: int,
     groups: int,
     counts: wp.array(dtype=wp.int32),
+    full: wp.array(dtype=wp.int32),
+    packed: int,
     large: wp.array(dtype=wp.vec2i),
     larges: wp.array(dtype=wp.int32),
 ):
@@ -85,7 +96,7 @@ def _scan_large(
         noted = large[wp.int32(item / _PIECES_64)]
         lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
         if lane < noted[1]:
-            mark_triangle(tree, slab, counts, noted[0], ANY, lane, PIECES * lanes)
+            mark_triangle(tree, slab, counts, full, packed, noted[0], ANY, lane, PIECES * lanes)
         item = item + wp.int64(groups)
 
 
@@ -165,26 +176,27 @@ def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most:
 def scan_triangles(
     tree: Tree,
     slab: Slab,
-    counts: wp.array,
+    crossings: Crossings,
     meshes: int,
     empty: Callable[[int, Any], wp.array],
     most_columns: int | None = None,
 ) -> None:
-    """Add to `counts`, the voxels of each mesh's slab, where all triangles cross its columns.
+    """Add to `crossings` of the voxels of each mesh's slab where all triangles cross its columns.
 
     One that lies under `most_columns` for each lane or more is the work of many groups.
     """
-    device = counts.device
+    device = crossings.counts.device
+    counts = [crossings.counts, crossings.full, int(crossings.packed)]
     columns = slab.shape[1] * slab.shape[2]
     slots = tree.face.shape[0]
     lanes = lanes_for_each(-(-slots // meshes), meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
     most = most_columns or MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
     large, larges = empty(slots if some_large else 1, wp.vec2i), new_zeros(empty, 1)
-    launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
+    launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, *counts, large, larges], device)
     if some_large:
         lanes, groups = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, threads())
-        inputs = [tree, slab, lanes, groups, counts, large, larges]
+        inputs = [tree, slab, lanes, groups, *counts, large, larges]
         launch(_scan_large, groups * lanes, inputs, device, smallest=1)
 
 
@@ -192,6 +204,19 @@ def scan_triangles(
 OPEN_METHOD = "caps"
 # Whether a CPU has ways of its own, or those of a GPU: tests compare them, too.
 BY_EIGHTS = True
+
+
+def begin_crossings(
+    winding: Winding, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array], alone: bool = False
+) -> Crossings | None:
+    """Memory for the crossings of columns, zeroed, if they are to be packed; it may be there before a tree is.
+
+    For `alone` see `can_be_packed`.
+    """
+    kind = "cuda" if values.device.is_cuda else "cpu"
+    if winding.kind == SOUP or winding.caps.are_faces or not can_be_packed(slab, values.size, kind, alone):
+        return None
+    return new_packed(slab, values.size, empty)
 
 
 def slab_winding(
@@ -203,6 +228,7 @@ def slab_winding(
     most_columns: int | None = None,
     before_boundary: Callable[[], Callable[[], None]] = lambda: _nothing,
     is_zero: bool = False,
+    crossings: Crossings | None = None,
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
@@ -210,7 +236,7 @@ def slab_winding(
     were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
     instead. `empty(length, dtype)` allocates workspace; for `most_columns` see `PlanOptions`.
     `before_boundary` is called once all is queued that needs neither boundary nor caps, and what it gives before the
-    caps' moments are looked at. `is_zero`: `values` are.
+    caps' moments are looked at. `is_zero`: `values` are. `crossings`: what `begin_crossings` gave.
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()
@@ -230,16 +256,25 @@ def slab_winding(
         before_moments = before_boundary()
         launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)
     else:
-        if not is_zero:
-            values.zero_()
-        counts = flat.view(wp.int32)
-        scan_triangles(tree, slab, counts, meshes, empty, most_columns)
+        if crossings is None and not is_zero:
+            crossings = begin_crossings(winding, slab, values, empty)
+        if crossings is None:
+            if not is_zero:
+                values.zero_()
+            crossings = Crossings(flat.view(wp.int32), flat.view(wp.int32), False)
+        scan_triangles(tree, slab, crossings, meshes, empty, most_columns)
         before_moments = before_boundary() if with_caps else _nothing
         if with_caps:
-            scan_triangles(winding.caps.tree, slab, counts, meshes, empty, most_columns)
-        launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
+            scan_triangles(winding.caps.tree, slab, crossings, meshes, empty, most_columns)
+        if crossings.packed:
+            sum_packed(slab, crossings, flat)
+        else:
+            launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, crossings.counts, flat], device)
         if not with_caps:
             before_moments = before_boundary()
+        if crossings.packed:
+            # By rays, which ask the tree.
+            count_full(tree, winding.caps.tree, with_caps, slab, crossings, flat)
     before_moments()
     if with_caps and kind == "cpu" and BY_EIGHTS:
         open_caps_by_eights(tree, winding.boundary, winding.caps, slab, values, empty)

@@ -10,7 +10,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_corners, mesh_of_slot, to_lattice
 from sdm.kernels.geometry.voxel_grid import Slab, along, count_below, index_of, slab_of
-from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.winding.columns.packed_crossings import add_crossing
 from sdm.kernels.winding.ray_crossings import covers, crossing_of
 
 wp.set_module_options({"enable_backward": False})
@@ -64,6 +64,8 @@ def mark_columns(
     tree: Tree,
     slab: Slab,
     counts: wp.array(dtype=wp.int32),
+    full: wp.array(dtype=wp.int32),
+    packed: int,
     mesh: int,
     pa: wp.vec3,
     pb: wp.vec3,
@@ -77,6 +79,8 @@ def mark_columns(
 ):
     """Add a triangle's crossing to the last voxel before it, in every column (j,k) that it covers: this lane's of them.
 
+    For `counts`, `full` and `packed` see `packed_crossings.Crossings`.
+
     Returns how many columns its box covers; if those are `most` or more for each lane, nothing is added.
     """
     scale = tree.frame[mesh * FRAME_SIZE + SCALE]
@@ -89,14 +93,23 @@ def mark_columns(
         k = k_begin + column % width
         sign, below = column_crossing(tree, slab, mesh, pa, pb, pc, a, b, c, j, k, scale)
         if below > 0:
-            fetch_add(counts, index_of(slab, mesh, wp.vec3i(below - 1, j, k)), sign)
+            index = index_of(slab, mesh, wp.vec3i(below - 1, j, k))
+            add_crossing(counts, full, packed, slab, mesh, index, j, k, sign)
         column = column + lanes
     return columns
 
 
 @wp.func
 def mark_triangle(
-    tree: Tree, slab: Slab, counts: wp.array(dtype=wp.int32), slot: int, most: int, lane: int, lanes: int
+    tree: Tree,
+    slab: Slab,
+    counts: wp.array(dtype=wp.int32),
+    full: wp.array(dtype=wp.int32),
+    packed: int,
+    slot: int,
+    most: int,
+    lane: int,
+    lanes: int,
 ):
     """`mark_columns` of the triangle in a slot."""
     pa, pb, pc, _normal = load_corners(tree, slot)
@@ -104,4 +117,4 @@ def mark_triangle(
     b = tree.lattice[3 * slot + 1]
     c = tree.lattice[3 * slot + 2]
     mesh = mesh_of_slot(tree, slot)
-    return mark_columns(tree, slab_of(slab, mesh), counts, mesh, pa, pb, pc, a, b, c, most, lane, lanes)
+    return mark_columns(tree, slab_of(slab, mesh), counts, full, packed, mesh, pa, pb, pc, a, b, c, most, lane, lanes)

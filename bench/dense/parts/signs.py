@@ -67,7 +67,7 @@ def pierced(case: Case, taken: float = TAKEN) -> Case:
 def unsigned() -> Iterator[None]:
     """Maps made meanwhile have no signs."""
     before = dense.slab_winding
-    dense.slab_winding = lambda tree, winding, slab, values, *_: values.zero_()
+    dense.slab_winding = lambda tree, winding, slab, values, *_, **__: values.zero_()
     try:
         yield
     finally:

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.culling.voronoi_features import INVERSES, Features, last_of_row, load_feature_row, one_of
 from sdm.kernels.culling.witness_bound import bulge_of_edge
 from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
@@ -121,12 +120,24 @@ def directions_of_edge(
 
 
 @wp.func
-def add_corner(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
-    """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes."""
+def add_corner(
+    scratch: wp.uint64,
+    number: int,
+    first: wp.vec3,
+    second: wp.vec3,
+    third: wp.vec3,
+    features: Features,
+    code: int,
+    box: VoxelBox,
+    floor: float,
+):
+    """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes.
+
+    The triangle's corners are loaded before, for all lanes at once, whatever their features are.
+    """
     slot = code / 4
     k = code % 4
     # All loads at once, four numbers at a time.
-    first, second, third, _normal = load_corners(tree, slot)
     one_more = last_of_row(features, slot, 1)
     r3 = load_feature_row(features, slot, 3)
     r4 = load_feature_row(features, slot, 4)
@@ -146,13 +157,23 @@ def add_corner(scratch: wp.uint64, number: int, tree: Tree, features: Features, 
 
 
 @wp.func
-def add_edge(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
+def add_edge(
+    scratch: wp.uint64,
+    number: int,
+    first: wp.vec3,
+    second: wp.vec3,
+    third: wp.vec3,
+    normal: wp.vec3,
+    features: Features,
+    code: int,
+    box: VoxelBox,
+    floor: float,
+):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
     inverse = features.inverses[INVERSES * slot + k]
     inward = load_feature_row(features, slot, k)
-    first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
     end = one_of(k, second, third, first)
     a = wp.vec3d(begin) - wp.vec3d(box.centre)
@@ -170,13 +191,23 @@ def add_edge(scratch: wp.uint64, number: int, tree: Tree, features: Features, co
 
 
 @wp.func
-def add_face(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
+def add_face(
+    scratch: wp.uint64,
+    number: int,
+    corner_a: wp.vec3,
+    corner_b: wp.vec3,
+    corner_c: wp.vec3,
+    normal: wp.vec3,
+    features: Features,
+    code: int,
+    box: VoxelBox,
+    floor: float,
+):
     """`add_corner` for a face, of triangle code / 4."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
     first_two = load2(features.inverses, 2 * slot)
     last_two = load2(features.inverses, 2 * slot + 1)
-    corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     a = wp.vec3d(corner_a) - wp.vec3d(box.centre)
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.culling.leaf_filter import push
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.feature_setup import (
@@ -28,7 +28,7 @@ from sdm.kernels.dense.block.feature_setup import (
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of
 from sdm.kernels.dense.block.octants_on_cpu import by_octants, measure_list
 from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS
-from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, write_coordinates
+from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, keep_block, kept_block, write_coordinates
 from sdm.kernels.dense.block.winners import begin_block, end_block, measure_one, note_feature
 from sdm.kernels.dense.chunk_pool import (
     CandidateLists,
@@ -37,7 +37,7 @@ from sdm.kernels.dense.chunk_pool import (
     list_length,
     read_entry,
     read_on,
-    start_reading,
+    start_if_complete,
 )
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.primitives.atomics import fetch_add
@@ -121,18 +121,19 @@ def measure_block(
 
     They are one of so many `parts`, and the list is that of so many chains (`shares`) from `first` on.
     """
+    # Each batch is read while the one before is worked out, the first one while coordinates are.
+    reader = Reader()
+    on_vectors = on_cpu() and slab.turned == 0 and by_octants(winners)
+    if not on_vectors:
+        reader = start_if_complete(blocks, first, shares)
+    upcoming = read_entry(pool, reader, lane)
     write_coordinates(tree, slab, scratch, block, lane, lanes)
     begin_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
-    room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
+    keep_block(scratch, block, lane)
     wait_for_lanes()
-    reader = Reader()
-    if list_length(blocks, first, shares) >= 0:
-        if on_cpu() and slab.turned == 0 and by_octants(winners):
-            measure_list(tree, features, pool, blocks, first, shares, scratch, block, octants, room)
-        else:
-            reader = start_reading(blocks, first, shares)
-    # Each batch is read while the one before is worked out.
-    upcoming = read_entry(pool, reader, lane)
+    if on_vectors and list_length(blocks, first, shares) >= 0:
+        room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
+        measure_list(tree, features, pool, blocks, first, shares, scratch, block, octants, room)
     corners = int(0)
     edges = int(0)
     faces = int(0)
@@ -154,24 +155,32 @@ def measure_block(
             faces = faces - (batch.features - batch.corners - batch.edges)
             which = kind_of(batch, lane)
             there = int(0)
+            code = int(0)
+            if lane < batch.features:
+                at = FACES + faces + lane - batch.corners - batch.edges
+                if which == CORNER_KIND:
+                    at = CORNERS + corners + lane
+                elif which == EDGE_KIND:
+                    at = EDGES + edges + lane - batch.corners
+                code = stack[at]
+            # Before the kinds part, which else wait for their loads one after the other.
+            a, b, c, normal = load_corners(tree, code / 4)
+            kept = kept_block(scratch)
             if lane < batch.features:
                 if which == CORNER_KIND:
-                    code = stack[CORNERS + corners + lane]
-                    add_corner(scratch, lane, tree, features, code, block.box, block.floor)
-                    note_feature(scratch, lane, which, code, winners)
+                    add_corner(scratch, lane, a, b, c, features, code, kept.box, kept.floor)
                 elif which == EDGE_KIND:
-                    code = stack[EDGES + edges + lane - batch.corners]
-                    add_edge(scratch, lane, tree, features, code, block.box, block.floor)
-                    note_feature(scratch, lane, which, code, winners)
+                    add_edge(scratch, lane, a, b, c, normal, features, code, kept.box, kept.floor)
                 else:
-                    code = stack[FACES + faces + lane - batch.corners - batch.edges]
-                    add_face(scratch, lane, tree, features, code, block.box, block.floor)
-                    note_feature(scratch, lane, which, code, winners)
+                    add_face(scratch, lane, a, b, c, normal, features, code, kept.box, kept.floor)
+                note_feature(scratch, lane, which, code, winners)
                 there = octants & octants_of(scratch, lane, tests_of(which))
             wait_for_lanes()
-            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, winners, lane, lanes)
+            room = NEAR_ENDS * (kept.box.half[0] + kept.box.half[1] + kept.box.half[2])
+            measure_features(scratch, batch, there, room, kept.floor == 0.0, slab.turned != 0, winners, lane, lanes)
         wait_for_lanes()
-    unclear = end_block(slab, out, scratch, block, octants, parts, winners, lane, lanes)
+    ended = kept_block(scratch)
+    unclear = end_block(slab, out, scratch, ended, octants, parts, winners, lane, lanes)
     if unclear > 0:
-        fetch_add(out.ambiguous, block.mesh, unclear)
+        fetch_add(out.ambiguous, ended.mesh, unclear)
     wait_for_lanes()

@@ -254,12 +254,13 @@ def measure_list(
         q, radius2 = ball_of(tree, slot, kind, part, box.centre)
         some = octants & octants_near(scratch, q, radius2)
         if some != 0:
+            a, b, c, normal = load_corners(tree, slot)
             if kind == CORNER_KIND:
-                add_corner(scratch, 0, tree, features, 4 * slot + part, box, block.floor)
+                add_corner(scratch, 0, a, b, c, features, 4 * slot + part, box, block.floor)
             elif kind == EDGE_KIND:
-                add_edge(scratch, 0, tree, features, 4 * slot + part, box, block.floor)
+                add_edge(scratch, 0, a, b, c, normal, features, 4 * slot + part, box, block.floor)
             else:
-                add_face(scratch, 0, tree, features, 4 * slot, box, block.floor)
+                add_face(scratch, 0, a, b, c, normal, features, 4 * slot, box, block.floor)
             measure_octants(scratch, kind, some, room, wide, block.floor == 0.0, q, radius2)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.feature_setup import (
     CORNER_KIND,
@@ -213,12 +213,13 @@ def measure_together(
         there = int(0)
         if feature >= 0:
             code = 4 * (feature >> 3) + number - 3 * which
+            a, b, c, normal = load_corners(tree, code / 4)
             if which == CORNER_KIND:
-                add_corner(own, lane, tree, features, code, block.box, block.floor)
+                add_corner(own, lane, a, b, c, features, code, block.box, block.floor)
             elif which == EDGE_KIND:
-                add_edge(own, lane, tree, features, code, block.box, block.floor)
+                add_edge(own, lane, a, b, c, normal, features, code, block.box, block.floor)
             else:
-                add_face(own, lane, tree, features, code, block.box, block.floor)
+                add_face(own, lane, a, b, c, normal, features, code, block.box, block.floor)
             there = octants & octants_of(own, lane, tests_of(which))
         wait_for_lanes()
         measure_features(own, batch, there, room, block.floor == 0.0, slab.turned != 0, NO_WINNERS, lane, lanes)
@@ -230,6 +231,6 @@ def measure_together(
         keep_least_of_groups(first, row)
         row = row + groups * lanes
     wait_for_block()
-    unclear = write_voxels(slab, out, first, block, octants, 1, member, groups * lanes)
+    unclear = write_voxels(slab, out, first, block, octants, 1, True, member, groups * lanes)
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)

@@ -8,7 +8,17 @@ from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness
 from sdm.kernels.dense.block.min_values import two_at, values_of
 from sdm.kernels.dense.block.octant_tests import write_block_witness, write_lattice
-from sdm.kernels.dense.block.shared_layout import COORDINATES, WINDING, write_float
+from sdm.kernels.dense.block.shared_layout import (
+    BLOCK_ROW,
+    COORDINATES,
+    WINDING,
+    read_row,
+    read_whole_row,
+    write_float,
+    write_row,
+    write_whole_row,
+)
+from sdm.kernels.dense.block.whole_blocks import fetch_whole, is_whole, write_whole
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, along, distances_at, is_unclear, with_sign
 from sdm.kernels.primitives.atomics import fetch_add, shrink
@@ -34,6 +44,40 @@ class Block:
     box: VoxelBox
     known: Witness  # the surface point nearest to its centre
     floor: float  # less than any distance of its voxels; 0 near the surface, see `feature_setup`
+
+
+@wp.func
+def keep_block(scratch: wp.uint64, block: Block, lane: int):
+    """Write what is looked at again of a block: what a GPU's lanes all keep in registers, others cannot have."""
+    if lane == 0:
+        c = block.box.centre
+        h = block.box.half
+        s = block.start
+        write_row(scratch, BLOCK_ROW, c[0], c[1], c[2], block.floor)
+        write_row(scratch, BLOCK_ROW + 1, h[0], h[1], h[2], block.unscale)
+        write_whole_row(scratch, BLOCK_ROW + 2, s[0], s[1], s[2], block.index)
+        write_whole_row(scratch, BLOCK_ROW + 3, block.mesh, block.bits, block.split, block.splits)
+
+
+@wp.func
+def kept_block(scratch: wp.uint64):
+    """The block that was written; of its box the centre and the half-widths, and nothing of its witness."""
+    r0 = read_row(scratch, BLOCK_ROW)
+    r1 = read_row(scratch, BLOCK_ROW + 1)
+    r2 = read_whole_row(scratch, BLOCK_ROW + 2)
+    r3 = read_whole_row(scratch, BLOCK_ROW + 3)
+    block = Block()
+    block.mesh = r3[0]
+    block.start = wp.vec3i(r2[0], r2[1], r2[2])
+    block.bits = r3[1]
+    block.split = r3[2]
+    block.splits = r3[3]
+    block.index = r2[3]
+    block.unscale = r1[3]
+    block.box.centre = wp.vec3(r0[0], r0[1], r0[2])
+    block.box.half = wp.vec3(r1[0], r1[1], r1[2])
+    block.floor = r0[3]
+    return block
 
 
 @wp.func
@@ -144,6 +188,20 @@ def twos_of(block: Block):
 
 
 @wp.func
+def is_whole_block(slab: Slab, block: Block, lanes: int):
+    """True if a block is of 8^3 voxels, all of which are there; see `whole_blocks`."""
+    n = slab.shape
+    return is_whole(block.start[0], block.start[1], block.start[2], n[0], n[1], n[2], block.bits, lanes)
+
+
+@wp.func
+def fetch_windings(slab: Slab, out: Output, block: Block, lane: int, lanes: int):
+    """Have the winding numbers of most blocks come nearer, into a GPU's cache, until they are read in the end."""
+    if is_whole_block(slab, block, lanes):
+        fetch_whole(out.values, block.index, slab.shape[1], slab.shape[2], lane)
+
+
+@wp.func
 def read_windings(
     slab: Slab, out: Output, scratch: wp.uint64, block: Block, octants: int, parts: int, lane: int, lanes: int
 ):
@@ -168,27 +226,45 @@ def distance_of(block: Block, value: float):
 
 @wp.func
 def write_voxels(
-    slab: Slab, out: Output, scratch: wp.uint64, block: Block, octants: int, parts: int, lane: int, lanes: int
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    octants: int,
+    parts: int,
+    are_read: bool,
+    lane: int,
+    lanes: int,
 ):
     """Write the distances of all voxels of a block's measured octants; returns how many have unclear winding numbers.
 
-    They are infinite where none was found, and left to the search.
+    They are infinite where none was found, and left to the search. `are_read`: by `read_windings`, the winding numbers.
     """
     unclear = int(0)
     missed = int(0)
     address = distances_at(out)
-    end_reading()
-    wait_for_lanes()
+    if are_read:
+        end_reading()
+        wait_for_lanes()
+    elif parts == 1 and block.splits == 1 and is_whole_block(slab, block, lanes):
+        ny = slab.shape[1]
+        nz = slab.shape[2]
+        if write_whole(scratch, out.values, address, block.index, ny, nz, block.unscale, block.floor, lane):
+            return 0
     two = lane
     while two < twos_of(block):
         at = two_at(two)
         index = voxel_index(slab, block, at)
         if index >= 0 and (parts == 1 or (octants >> (two >> 5) & 1) != 0):
             least = values_of(scratch, two)
-            winding = windings_of(scratch, two)
+            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
+            winding = wp.vec2()
+            if are_read:
+                winding = windings_of(scratch, two)
+            elif block.splits == 1:
+                winding = wp.vec2(out.values[index], out.values[index + count - 1])
             first = distance_of(block, least[0])
             second = distance_of(block, least[1])
-            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
             if block.splits > 1:
                 if first < float(wp.inf):
                     shrink(out.values, index, first)

@@ -23,7 +23,7 @@ from sdm.kernels.dense.block.shared_layout import BATCH, MIN_VALUES, SCRATCH_ROW
 from sdm.kernels.dense.block.voxels import (
     Block,
     distance_of,
-    read_windings,
+    fetch_windings,
     twos_of,
     voxel_index,
     write_two,
@@ -145,9 +145,9 @@ def begin_block(
     lane: int,
     lanes: int,
 ):
-    """No voxel of the block has a value yet; its winding numbers are on their way."""
+    """No voxel of the block has a value yet; its winding numbers come nearer."""
     clear_values(scratch, lane, lanes)
-    read_windings(slab, out, scratch, block, octants, parts, lane, lanes)
+    fetch_windings(slab, out, block, lane, lanes)
 
 
 @wp.func
@@ -310,7 +310,7 @@ def end_block(
     lanes: int,
 ):
     """Write what was found of all voxels of a measured block; returns how many have unclear winding numbers."""
-    return write_voxels(slab, out, scratch, block, octants, parts, lane, lanes)
+    return write_voxels(slab, out, scratch, block, octants, parts, False, lane, lanes)
 
 
 @wp.func

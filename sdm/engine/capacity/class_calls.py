@@ -35,7 +35,7 @@ from sdm.kernels.launch import new_zeros, set_array
 from sdm.kernels.topology.edge_pairing import FLAGS, OUT_OF_RANGE
 from sdm.kernels.topology.edge_table import table_length
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
-from sdm.kernels.winding.column_sums import slab_winding
+from sdm.kernels.winding.column_sums import begin_crossings, slab_winding
 from sdm.runtime.graphs import TableCall, TableWork, Verify
 from sdm.runtime.graphs.branches import WINDING, Join, beside, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
@@ -325,16 +325,19 @@ def _queue_map(
         options |= {"counts": new_zeros(empty, BUCKETS), "gathered": lambda: ordered.append(fork(device))}
         fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, **options)
         boxes = fork(device)
-        # Nothing before it waits for these, and they for nothing.
-        with kernels_beside(values, TELLING, since=begin) as begun:
-            work.begin_pass(kind.plan, 0, is_zero=True)
-            if not kind.turned or (boundary is not None and boundary.by_faces):
-                as_warp(values, wp.float32).zero_()
-        begun()
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
             winding = boundary.winding(view)
+        # Nothing before it waits for these, and they for nothing.
+        with kernels_beside(values, TELLING, since=begin) as begun:
+            work.begin_pass(kind.plan, 0, is_zero=True)
+        begun()
+        # For these the winding numbers alone wait.
+        with kernels_beside(values, TELLING, since=begin) as zeroed:
+            crossings = begin_crossings(winding, slab, target.values, empty, alone=True)
+            if crossings is None and (not kind.turned or (boundary is not None and boundary.by_faces)):
+                target.values.zero_()
 
         def before_boundary() -> Join:
             # Triangles are marked in columns without boxes, but what follows asks the tree: the rays of a turned grid,
@@ -348,9 +351,10 @@ def _queue_map(
 
         def wind() -> None:
             joins.extend(begin_joining())
-            with kernels_beside(values, WINDING, begun, ordered[0]) as wound:
+            with kernels_beside(values, WINDING, zeroed, ordered[0]) as wound:
+                options: Any = {"is_zero": crossings is None, "crossings": crossings}
                 columns = kind.plan.most_columns
-                slab_winding(tree, winding, slab, target.values, empty, columns, before_boundary, is_zero=True)
+                slab_winding(tree, winding, slab, target.values, empty, columns, before_boundary, **options)
             joins.append(wound)
 
         def before_regions() -> None:

@@ -24,12 +24,15 @@ Join: TypeAlias = Callable[[], None]
 
 # Branches that a graph may have beside each other; those of frames, winding numbers, and caps' moments for these.
 BRANCHES, FRAMES, WINDING, MOMENTS = 5, 2, 3, 4
+# Priority of the stream that is recorded, and of its branches but for the last two: of kernels that wait for a
+# multiprocessor lists come before winding numbers, which are needed later.
+FIRST, LATER = -1, 0
 
 
 @cache
 def side_streams(index: int) -> tuple[torch.cuda.Stream, ...]:
     """The streams of a GPU that become the branches of every graph; made before a recording begins."""
-    streams = tuple(torch.cuda.Stream(index) for _ in range(BRANCHES))
+    streams = tuple(torch.cuda.Stream(index, LATER if i in (WINDING, MOMENTS) else FIRST) for i in range(BRANCHES))
     for stream in streams:
         warp_stream(torch.device("cuda", index), stream)
     return streams

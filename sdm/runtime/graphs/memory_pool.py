@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.runtime.graphs.branches import FIRST
 from sdm.runtime.torch_warp import version_of
 
 
@@ -43,7 +44,7 @@ class MemoryPool:
     def open(self) -> tuple[torch.cuda.Stream, Any]:
         """The stream to record on and torch's handle of the pool, of the current device."""
         if self._stream is None:
-            self._stream = torch.cuda.Stream()
+            self._stream = torch.cuda.Stream(priority=FIRST)
         if self.last is None:
             self.last = LastLaunch()
         if self._handle is None:

@@ -1,0 +1,1 @@
+"""Crossings of columns of voxels in a quarter of the memory: see `packed_crossings`."""
