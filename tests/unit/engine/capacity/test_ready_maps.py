@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -64,8 +65,8 @@ def launches(monkeypatch):
     monkeypatch.setattr(guesses, "last_open", type(guesses.last_open)())
     monkeypatch.setattr(ready_maps, "_ready", {})
     _launches.clear()
-    with as_on_a_gpu():
-        monkeypatch.setattr(replay, "TableRecording", OnTheHost)
+    # Undone before what it is put over: else that would stay for all tests of the process.
+    with as_on_a_gpu(), mock.patch.object(replay, "TableRecording", OnTheHost):
         yield _launches
 
 
