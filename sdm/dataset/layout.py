@@ -59,7 +59,7 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
     """Make an empty dataset in `folder`, which must not be there."""
     # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset; under one
     # of its own, since another process may begin the same.
-    fresh = own_name(folder, ".new")
+    fresh = own_name(folder)
     try:
         _empty(fresh, manifest)
         fresh.rename(folder)

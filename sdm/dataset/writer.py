@@ -19,6 +19,7 @@ from sdm.dataset.shard_paths import rows_of
 from sdm.dataset.versions import VERSION
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
+from sdm.io.files.leftovers import remove_leftovers_of
 from sdm.io.files.lock import alone
 from sdm.io.files.stand_in import known, moved
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -187,12 +188,16 @@ def check_place(target: Path, *, resume: bool = False) -> None:
 
 
 def _unfinished(folder: Path) -> FormatError:
+    # One that another process is at work on is neither to be finished nor to be removed, which this says.
+    with alone(folder):
+        pass
     return FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
 
 
 def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str, Any] | None) -> dict[str, Any]:
     """Make the unfinished dataset, or take the one that is there if it is as `wanted`; its manifest."""
     check_place(target, resume=wanted is not None)
+    remove_leftovers_of(folder)
     if not folder.exists():
         try:
             layout.create(folder, manifest)

@@ -73,7 +73,12 @@ def places_in(sources: dict[Path, Path]) -> list[Path]:
         common = os.path.commonpath([path.parent for path in whole])
         places = [path.relative_to(common) for path in whole]
     times = Counter(map(_plain, places))
-    return [_plain(place) if times[_plain(place)] == 1 else place for place in places]
+    names = [_plain(place) if times[_plain(place)] == 1 else place for place in places]
+    # One without its ending may be called as another one with it: `a.ply.ply` beside `a.ply` and `a.stl`.
+    while len(set(names)) < len(set(places)):
+        times = Counter(names)
+        names = [name if times[name] == 1 else place for name, place in zip(names, places, strict=True)]
+    return names
 
 
 def _plain(place: Path) -> Path:

@@ -114,7 +114,8 @@ class MapManifest:
         return there[0] == written[0] and there[1] < self._before
 
     def _remove(self, path: Path) -> None:
-        path.unlink()
+        # Another command may write to the same folder.
+        path.unlink(missing_ok=True)
         gone(path)
 
     def _read(self, path: Path) -> None:

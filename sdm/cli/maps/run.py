@@ -15,6 +15,7 @@ from sdm.cli.maps.map_settings import DEFAULT_RESOLUTION, Settings
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.map_writers import LARGEST_BESIDE, writing_processes
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
+from sdm.io.files.leftovers import remove_leftovers_of
 from sdm.io.files.stand_in import known
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
@@ -84,6 +85,8 @@ def run(
                     times=times,
                 )
             )
+        if settings.resume and len(jobs) == 1:
+            remove_leftovers_of(tasks[0].target)
         entries = account.end()
         if report is not None:
             write_report(entries, report, seconds_of_stages=times.seconds)

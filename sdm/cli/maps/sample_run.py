@@ -17,6 +17,7 @@ from sdm.core.normalization import Normal
 from sdm.engine.arguments import Orient, Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
 from sdm.io.files.leftovers import remove_leftovers
+from sdm.io.files.lock import alone
 from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -137,42 +138,45 @@ def run(
     times = StageTimes() if times is None else times
     entries: list[MeshEntry] = []
     try:
-        recipe.claim(out, [instance.path for instance in instances], parts, resume=resume)
-        sampling = FolderSampling(
-            sources, instances, out, layout, recipe, where, parts=parts, workers=workers, times=times
-        )
-        with FileProgress(len(sources), times) as progress:
-            progress.begin(sources[0].name)
+        out.mkdir(parents=True, exist_ok=True)
+        # Of two at a time the recipe would be that of one, and samples those of both.
+        with alone(out):
+            recipe.claim(out, [instance.path for instance in instances], parts, resume=resume)
+            sampling = FolderSampling(
+                sources, instances, out, layout, recipe, where, parts=parts, workers=workers, times=times
+            )
+            with FileProgress(len(sources), times) as progress:
+                progress.begin(sources[0].name)
 
-            def hear(told: Iterable[MeshEntry]) -> None:
-                for entry in told:
-                    entries.append(entry)
-                    progress.end()
-                    if len(entries) < len(sources):
-                        progress.begin(sources[len(entries)].name)
+                def hear(told: Iterable[MeshEntry]) -> None:
+                    for entry in told:
+                        entries.append(entry)
+                        progress.end()
+                        if len(entries) < len(sources):
+                            progress.begin(sources[len(entries)].name)
 
-            seconds = len(sources) * recipe.count * SECONDS_OF_A_SAMPLE
-            processes = [str(where)] if devices is None else processes_for(devices, seconds)
-            if ray is not None or len(processes) > 1:
-                size = shard_size(len(sources), 0 if ray is not None else len(processes))
-                job = SampleJob(
-                    wanted=list(range(len(sources))),
-                    each=-(-size // layout.together) * layout.together,
-                    sources=sources,
-                    instances=instances,
-                    out=out,
-                    dataset=named,
-                    recipe=recipe,
-                    workers=workers,
-                    stand_ins=known(),
-                )
-                share_out(job, job.shards, processes, ray, hear, times)
-            else:
-                found_of = sampling.some(range(len(sources)))
-                hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)
-            sampling.end([entry.state != "failed" for entry in entries])
-            if resume:
-                remove_leftovers(out)
+                seconds = len(sources) * recipe.count * SECONDS_OF_A_SAMPLE
+                processes = [str(where)] if devices is None else processes_for(devices, seconds)
+                if ray is not None or len(processes) > 1:
+                    size = shard_size(len(sources), 0 if ray is not None else len(processes))
+                    job = SampleJob(
+                        wanted=list(range(len(sources))),
+                        each=-(-size // layout.together) * layout.together,
+                        sources=sources,
+                        instances=instances,
+                        out=out,
+                        dataset=named,
+                        recipe=recipe,
+                        workers=workers,
+                        stand_ins=known(),
+                    )
+                    share_out(job, job.shards, processes, ray, hear, times)
+                else:
+                    found_of = sampling.some(range(len(sources)))
+                    hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)
+                sampling.end([entry.state != "failed" for entry in entries])
+                if resume:
+                    remove_leftovers(out)
     except OSError as error:
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)

@@ -17,7 +17,7 @@ from sdm.cli.surfaces.closing_stages import Closing
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
 from sdm.errors import FormatError, MeshError
-from sdm.io.files.leftovers import remove_leftovers
+from sdm.io.files.leftovers import remove_leftovers, remove_leftovers_of
 from sdm.io.files.stand_in import known, shown
 from sdm.io.maps.formats import check_file
 from sdm.io.meshes.write import WRITERS, ending_to_write
@@ -132,6 +132,8 @@ def run(
             hear(surfaces_told(enumerate(jobs), len(jobs), options, journal, times, **more))
     if resume and folder is not None:
         remove_leftovers(folder)
+    elif resume:
+        remove_leftovers_of(jobs[0][1])
     if report is not None:
         write_report(entries, report, surfaces=found, seconds_of_stages=times.seconds)
         journal.close()

@@ -22,6 +22,8 @@ from sdm.io.files.stand_in import bring
 LEFTOVER = ".part"
 # Of one call that writes; systems take 1,024.
 MOST_PIECES = 512
+# Bytes of a name on the file systems of Linux.
+LONGEST = 255
 
 
 @contextmanager
@@ -122,12 +124,17 @@ def _temporary(target: Path) -> Path:
     return own_name(target)
 
 
-def own_name(path: Path, ending: str = LEFTOVER) -> Path:
-    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN` and the ending.
+def own_name(path: Path) -> Path:
+    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN.part`.
 
-    The token begins with the `machine`, so that `remove_leftovers` knows whose number of a process it is.
+    The token begins with the `machine`, so that `remove_leftovers` knows whose number of a process it is. A name that
+    is nearly as long as names may be is cut.
     """
-    return path.with_name(f".{path.name}.{os.getpid()}-{machine()}{secrets.token_hex(4)}{ending}")
+    own = f".{os.getpid()}-{machine()}{secrets.token_hex(4)}{LEFTOVER}"
+    name = path.name
+    while len(os.fsencode(name)) > LONGEST - len(own) - len(".-old"):
+        name = name[:-1]
+    return path.with_name(f".{name}{own}")
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from sdm.io.files.atomic import LEFTOVER, machine, remove
@@ -21,9 +22,23 @@ def remove_leftovers(folder: Path) -> None:
         return
     for root, folders, files in os.walk(folder):
         for name in [*folders, *files]:
-            found = NAME.fullmatch(name)
-            if found is not None and found[2] == machine() and not _is_there(int(found[1])):
+            if _is_left(name):
                 remove(Path(root) / name)
+
+
+def remove_leftovers_of(target: Path) -> None:
+    """Remove what processes that are gone have left beside one file or folder that they were writing."""
+    if os.name == "nt":
+        return
+    with suppress(OSError):
+        for path in target.parent.iterdir():
+            if path.name.startswith(f".{target.name}.") and _is_left(path.name):
+                remove(path)
+
+
+def _is_left(name: str) -> bool:
+    found = NAME.fullmatch(name)
+    return found is not None and found[2] == machine() and not _is_there(int(found[1]))
 
 
 def _is_there(process: int) -> bool:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from stat import S_ISREG
 
+from sdm.errors import MeshError
 from sdm.io.meshes.formats import mesh_endings
 
 
 def mesh_tree(folder: str | Path) -> list[Path]:
     """The mesh files of a folder and of the folders in it, by their endings, sorted by path; no hidden ones.
 
-    Links to folders are followed, but no folder is gone through twice.
+    Links to folders are followed, but no folder is gone through twice. A link to a file that is not there is among
+    them, so that whoever reads it says so.
+
+    Raises:
+        MeshError: A folder that cannot be read, whose meshes would be left out.
     """
     root = Path(folder)
     return sorted(_files(root), key=lambda path: path.relative_to(root).parts)
@@ -20,7 +26,7 @@ def mesh_tree(folder: str | Path) -> list[Path]:
 
 def _files(root: Path) -> Iterator[Path]:
     endings, seen = mesh_endings(), set()
-    for place, folders, names in os.walk(root, followlinks=True):
+    for place, folders, names in os.walk(root, followlinks=True, onerror=_refuse):
         found = Path(place).stat()
         if (found.st_dev, found.st_ino) in seen:
             folders.clear()
@@ -30,5 +36,25 @@ def _files(root: Path) -> Iterator[Path]:
         for name in names:
             if name.lower().endswith(endings) and not name.startswith("."):
                 path = Path(place, name)
-                if path.is_file():
+                if _is_file(path):
                     yield path
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return S_ISREG(path.stat().st_mode)
+    except PermissionError as error:
+        # A folder whose names may be read, and nothing else.
+        error.filename = str(path.parent)
+        _refuse(error)
+    except OSError:
+        # A link that leads nowhere, or to itself.
+        pass
+    return True
+
+
+def _refuse(error: OSError) -> None:
+    raise MeshError(
+        f"the folder {error.filename} cannot be read ({error.strerror}), and its meshes would be left out: make it "
+        "readable, or name the folders beside it"
+    ) from error

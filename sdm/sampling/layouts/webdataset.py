@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import tarfile
 import threading
 from pathlib import Path
@@ -44,7 +45,9 @@ class WebDatasetLayout:
         self._waiting: dict[int, dict[int, list[tuple[str, bytes]]]] = {}
         self._there = {n for n in range(-(-len(instances) // self._each)) if self._file(n).is_file()}
         lists = (self._left_out(shard) for shard in self._there)
-        self._lost = {path for found in lists if found.is_file() for path in found.read_text().split("\n")}
+        self._lost = {
+            path for found in lists if found.is_file() for path in os.fsdecode(found.read_bytes()).split("\n")
+        }
         taken: set[str] = set()
         # A key ends at its first dot.
         self._keys = [free_name(f"{own.category}/{own.name}".replace(".", "_"), taken) for own in instances]
@@ -113,7 +116,7 @@ class WebDatasetLayout:
             del self._waiting[shard]
         lost = "".join(f"{self._instances[number].path}\n" for number, own in sorted(held.items()) if not own)
         if lost:
-            put(self._left_out(shard), lost.encode())
+            put(self._left_out(shard), os.fsencode(lost))
         with replacing(self._file(shard)) as part, tarfile.open(part, "w", format=tarfile.PAX_FORMAT) as tar:
             for _, own in sorted(held.items()):
                 for name, content in own:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tempfile
 from pathlib import Path
 
 import google_crc32c
@@ -17,7 +18,6 @@ from zarr.codecs import Crc32cCodec
 
 from sdm.core.normalization import Normal
 from sdm.io.files.atomic import put
-from sdm.io.files.stand_in import bring
 from sdm.sampling.law import PAPER, SampleLaw
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.sample import PointSamples
@@ -37,8 +37,18 @@ class ZarrLayout:
         self._folder, self._instances = folder, instances
         if (folder / "zarr.json").is_file():
             return
-        group = zarr.create_group(store=folder, attributes={KEY: {"names": [own.path for own in instances]}})
-        for name, shape in (("points", (len(instances), count, 3)), ("distances", (len(instances), count))):
+        with tempfile.TemporaryDirectory() as place:
+            fresh = Path(place)
+            self._describe(fresh, count)
+            # The group's own last: a restart goes by it.
+            for name in ("points/zarr.json", "distances/zarr.json", "zarr.json"):
+                put(folder / name, (fresh / name).read_bytes())
+
+    def _describe(self, folder: Path, count: int) -> None:
+        """Write the group and its arrays without a chunk."""
+        number = len(self._instances)
+        group = zarr.create_group(store=folder, attributes={KEY: {"names": [own.path for own in self._instances]}})
+        for name, shape in (("points", (number, count, 3)), ("distances", (number, count))):
             group.create_array(
                 name,
                 shape=shape,
@@ -49,7 +59,6 @@ class ZarrLayout:
                 fill_value=float("nan"),
                 config={"write_empty_chunks": True},
             )
-        bring(folder)
 
     def is_done(self, number: int) -> bool:
         """See `Layout`."""

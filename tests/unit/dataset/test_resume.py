@@ -279,7 +279,8 @@ def test_one_that_another_process_writes_is_left_alone(whole, copy):
     (part / "sdm/c/1/0/0/0").unlink()
     before = contents(part)
     with alone(part):
-        for use in (lambda: write(copy, resume=True), lambda: verify(part, FAMILY, device="cpu")):
+        # Without `resume` too: it is neither to be removed nor to be gone on with.
+        for use in (lambda: write(copy), lambda: write(copy, resume=True), lambda: verify(part, FAMILY, device="cpu")):
             with pytest.raises(FormatError, match="being written by another process"):
                 use()
     assert contents(part) == before

@@ -85,6 +85,12 @@ def test_files_called_alike_lie_as_below_their_common_folder(shapenet, tmp_path)
     assert len(set(places_in(two))) == len(two) == 5
 
 
+def test_names_that_end_twice_are_of_two_maps():
+    names = ["x.ply", "x.stl", "x.ply.ply", "x.ply.ply.ply", "y.ply", "y.ply.ply"]
+    places = [str(place) for place in places_in({Path("in", name): Path(name) for name in names})]
+    assert places == ["x.ply", "x.stl", "x.ply.ply", "x.ply.ply.ply", "y", "y.ply"]
+
+
 def test_a_link_that_leads_back_ends(shapenet):
     os.symlink(shapenet, shapenet / "02691156" / "up")
     assert len(sdm.io.mesh_tree(shapenet)) == 5

@@ -6,21 +6,27 @@ import io
 import json
 import os
 import shutil
+import sys
 import tarfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+import zarr
 
 import sdm
 from sdm.cli import main
 from sdm.cli.maps.sample_run import SampleOptions
 from sdm.cli.maps.sample_run import run as run_sampling
 from sdm.core.normalization import Normalization
+from sdm.io.files.lock import alone
 from sdm.io.meshes.split_file import write_split
 from sdm.sampling import sample
+from sdm.sampling.layouts import zarr_samples
 from sdm.sampling.layouts.zarr_samples import read_zarr
 from tests.helpers.killed_command import killed_after
 
@@ -329,3 +335,52 @@ def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
     assert main([*words, str(tmp_path / "whole")]) == 0
     kept = {name: content for name, content in files(tmp_path / "d").items() if not name.endswith(".part")}
     assert kept == files(tmp_path / "whole")
+
+
+def test_one_command_at_a_time_writes_to_a_folder(shapes, tmp_path, capsys):
+    """Of two that begin at once, each would find no recipe, and the folder would hold samples of both."""
+    out = tmp_path / "d"
+    out.mkdir()
+    for more in ((), ("--resume",)):
+        with alone(out):
+            assert run(shapes, "-o", out, *more) == 2
+        assert "d is being written by another process: wait for it, or end it" in capsys.readouterr().err
+        assert not list(out.iterdir())
+    assert run(shapes, "-o", out, "--skip-bad") == 0
+
+
+@pytest.mark.parametrize("after", range(5))
+def test_zarr_that_was_cut_off_while_it_began(after, shapes, tmp_path, monkeypatch):
+    """Arrays without a description could not be read, and nobody would say so."""
+    words = [shapes, "--layout", "zarr", "--skip-bad", "-o"]
+    assert run(*words, tmp_path / "whole") == 0
+    left = [after]
+
+    def cut(plain: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(*given: Any, **more: Any) -> Any:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return plain(*given, **more)
+
+        return counted
+
+    with monkeypatch.context() as patch:
+        patch.setattr(zarr.Group, "create_array", cut(zarr.Group.create_array))
+        patch.setattr(zarr_samples, "put", cut(zarr_samples.put))
+        assert run(*words, tmp_path / "d") == 130
+    assert run(*words, tmp_path / "d", "--resume") == 0
+    assert files(tmp_path / "d") == files(tmp_path / "whole")
+
+
+@pytest.mark.skipif(os.name == "nt" or sys.platform == "darwin", reason="names are text there")
+def test_webdataset_leaves_out_a_mesh_whose_name_is_no_text(shapes, tmp_path, capsys):
+    place = tmp_path / "in"
+    place.mkdir()
+    content = (shapes / "02691156/aa/models/model_normalized.obj").read_bytes()
+    for name in (b"a.obj", b"latin\xe4.obj"):
+        (place / os.fsdecode(name)).write_bytes(content)
+    for more in ((), ("--resume",)):
+        assert run(place, "-o", tmp_path / "d", "--layout", "webdataset", *more) == 2
+        assert "1 of 2 meshes failed" in capsys.readouterr().err
+    assert (tmp_path / "d/samples-000000.left-out.lst").read_bytes() == b"latin\xe4\n"

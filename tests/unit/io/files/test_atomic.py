@@ -265,3 +265,17 @@ def test_all_pieces_are_written_whatever_a_call_takes(at_most, vectors, tmp_path
     with (tmp_path / "file").open("wb", buffering=0) as file:
         atomic.write_all(file, pieces)
     assert (tmp_path / "file").read_bytes() == b"onetwothreefour" + b"x" * 2000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count letters")
+@pytest.mark.parametrize("letter", ["l", "ä"])
+def test_names_as_long_as_names_may_be(tmp_path, letter):
+    count = (255 - len(".zarr")) // len(letter.encode())
+    target = tmp_path / f"{letter * count}.zarr"
+    for _ in range(2):
+        # A file system that cannot exchange folders puts the old one aside, under a longer name.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(atomic, "exchange", lambda *_: False)
+            save(FIELD, target)
+    put(tmp_path / f"{letter * count}.txt", b"content")
+    assert len(list(tmp_path.iterdir())) == 2

@@ -5,9 +5,11 @@ import subprocess
 import sys
 
 import pytest
+import trimesh
 
+from sdm.cli import main
 from sdm.io.files import atomic
-from sdm.io.files.leftovers import remove_leftovers
+from sdm.io.files.leftovers import remove_leftovers, remove_leftovers_of
 
 KILLED = """
 import os, sys
@@ -36,6 +38,33 @@ def test_what_a_killed_process_left_goes(deep):
     assert len(names(deep)) == 1
     remove_leftovers(deep)
     assert not names(deep)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there nothing is removed")
+def test_what_a_killed_process_left_of_one_file_goes(tmp_path):
+    for name in ("map.npz", "other.npz"):
+        subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / name)], check=False)
+    own = atomic.own_name(tmp_path / "map.npz")
+    own.write_text("half")
+    remove_leftovers_of(tmp_path / "map.npz")
+    other, ours = sorted(tmp_path.iterdir(), key=lambda path: path == own)
+    assert (other.name.startswith(".other.npz."), ours) == (True, own)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there nothing is removed")
+@pytest.mark.parametrize("command", ["compute", "watertight", "generate"])
+def test_a_restart_takes_away_what_a_killed_one_left_of_its_only_output(command, tmp_path):
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.ply")
+    source, target, more = {
+        "compute": (tmp_path / "ball.ply", "map.npz", ["--resolution", "8"]),
+        "watertight": (tmp_path / "ball.ply", "closed.ply", ["--resolution", "8"]),
+        "generate": ("cuboid", "d.zarr", ["--count", "2", "--resolution", "8"]),
+    }[command]
+    written = tmp_path / f"{target}.part" if command == "generate" else tmp_path / target
+    subprocess.run([sys.executable, "-c", KILLED, str(written)], check=False)
+    words = [command, str(source), "-o", str(tmp_path / target), "--resume", "--device", "cpu", *more]
+    assert main(words) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["ball.ply", target])
 
 
 @pytest.mark.parametrize("other", ["machine", "process", "name"])
