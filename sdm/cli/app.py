@@ -22,6 +22,7 @@ from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
 from sdm.cli.common.renamed_options import renamed
+from sdm.cli.common.termination import Terminated, raised_termination
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
 from sdm.errors import SDMWarning
 
@@ -65,6 +66,7 @@ DONE = 0
 USER_ERROR = 2
 INTERRUPTED = 130
 BROKEN_PIPE = 141
+TERMINATED = 143
 
 # Importing torch and Warp makes a million objects that stay. Looking through them for garbage as often as Python does
 # takes a quarter of a second of the start.
@@ -97,14 +99,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The words after `sdm`; those of this process if not given.
 
     Returns:
-        0 if all went well; 2 for what is the user's to mend, said in one sentence on stderr; 130 if interrupted.
+        0 if all went well; 2 for what is the user's to mend, said in one sentence on stderr; 130 if interrupted, 143 if
+        terminated.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     _open_streams()
     thresholds = gc.get_threshold()
     gc.set_threshold(*GARBAGE_THRESHOLDS)
     try:
-        with with_stand_ins(words) as local:
+        with raised_termination(), with_stand_ins(words) as local:
             command = _parse(local)
             if words and words[0] in WITH_KERNELS and command is not _nothing:
                 announce_compiling()
@@ -113,6 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except UsageError as error:
         return _complain(str(error))
+    except Terminated:
+        print("sdm: terminated", file=sys.stderr)
+        return TERMINATED
     except KeyboardInterrupt:
         print("sdm: interrupted", file=sys.stderr)
         return INTERRUPTED
