@@ -21,6 +21,7 @@ from sdm.cli.common.argument_types import NUMBERS
 from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
+from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.renamed_options import renamed
 from sdm.cli.common.termination import Terminated, raised_termination
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
@@ -163,7 +164,7 @@ def _warnings_in_a_line() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, SDMWarning):
-                print(f"sdm: warning: {message}", file=sys.stderr)
+                print_line(f"sdm: warning: {message}", error=True)
             else:
                 usual(message, category, *where, **more)
 
@@ -185,7 +186,7 @@ def _open_streams() -> None:
 
 
 def _complain(sentence: str) -> int:
-    print(f"sdm: {sentence}", file=sys.stderr)
+    print_line(f"sdm: {sentence}", error=True)
     return USER_ERROR
 
 

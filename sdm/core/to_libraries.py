@@ -29,7 +29,8 @@ def imported(module: str, package: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise SDMError(f"this needs {package}, which cannot be imported ({error}): pip install {package}") from error
+        why = " ".join(str(error).split())
+        raise SDMError(f"this needs {package}, which cannot be imported ({why}): pip install {package}") from error
 
 
 def mesh_to_trimesh(mesh: TriangleMesh) -> Any:

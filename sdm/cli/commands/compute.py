@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +10,7 @@ import tyro
 
 from sdm.cli.common.argument_types import Device
 from sdm.cli.common.numbers import numbers
+from sdm.cli.common.printed_line import print_line
 
 REPORT = "report.json"
 Ending = Literal["nii.gz", "nii", "npz", "nrrd", "mha", "mhd", "vti", "zarr", "nvdb"]
@@ -170,10 +170,10 @@ def compute(
         resume=resume,
     )
     if grid_like is not None and not is_placed(grid_like):
-        print(
+        print_line(
             f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
             "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
-            file=sys.stderr,
+            error=True,
         )
     jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
     # All files of a folder have one format.

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def decode(
@@ -64,11 +65,11 @@ def decode(
     elif ending in WRITERS:
         mesh = decode_mesh(found, shape.code, sphere=shape.sphere, resolution=resolution)
         save_mesh(mesh, out)
-        print(f"{out}: {len(mesh):,} triangles")
+        print_line(f"{out}: {len(mesh):,} triangles")
         return
     else:
         sphere = shape.sphere
         step = 2 * sphere.radius / max(resolution - 1, 1)
         grid = Grid([c - sphere.radius for c in sphere.centre], (step,) * 3, (resolution,) * 3)
         found.signed_distance_map(grid, shape.code, sphere).save(out)
-    print(out)
+    print_line(out)

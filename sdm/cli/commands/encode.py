@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def encode(
@@ -77,7 +78,7 @@ def encode(
         codes = encode_meshes(found, meshes, steps=steps, seed=seed, spheres=spheres)
     for target, code in zip(targets, codes, strict=True):
         save_code(code, target)
-        print(f"{target}: {found.code_size} numbers, sphere of radius {code.sphere.radius:.4g}")
+        print_line(f"{target}: {found.code_size} numbers, sphere of radius {code.sphere.radius:.4g}")
 
 
 def _points(path: Path) -> tuple[Any, Any]:

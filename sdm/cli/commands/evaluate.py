@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line, printable
 
 
 def evaluate(
@@ -52,7 +53,7 @@ def evaluate(
         name: scores_of(prediction.to(where), truth.to(where), spacing)
         for name, prediction, truth, spacing in label_pairs(predictions, truths)
     }
-    rows = {name: [case] for name, case in scores.items()}
+    rows = {printable(name): [case] for name, case in scores.items()}
     print(table({**rows, f"mean of {len(rows)}": list(scores.values())} if len(rows) > 1 else rows, list(COLUMNS)))
     if json is not None:
         with replacing(json) as part:
@@ -64,11 +65,11 @@ def evaluate(
             part.write_text(dumps(plain, indent=1, allow_nan=False) + "\n")
     failed = [name for name, case in scores.items() if case["failed"]]
     if failed:
-        print(f"failed, for one of the two labels is empty: {', '.join(failed)}")
+        print_line(f"failed, for one of the two labels is empty: {', '.join(failed)}")
     nothing = [name for name, case in scores.items() if math.isnan(case["dice"])]
     if nothing:
-        print(f"in no mean, for both labels are empty: {', '.join(nothing)}")
+        print_line(f"in no mean, for both labels are empty: {', '.join(nothing)}")
     forgotten = sorted({*known} - {*scores}) if predictions.is_dir() else []
     if forgotten:
-        print(f"in no mean, for nothing was predicted: {', '.join(forgotten)}")
+        print_line(f"in no mean, for nothing was predicted: {', '.join(forgotten)}")
     return None

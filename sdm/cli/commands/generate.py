@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -182,7 +182,7 @@ def generate(
         where: dict[str, Any] = {"device": device, "ray": ray, "resume": resume}
         dataset.generate(shapes, grid, count, out, source=known, progress=progress, times=times, **where, **asked)
     written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
-    print(
+    print_line(
         f"{shown(out)}: {count:,} maps of {shapes.name}, {' x '.join(map(str, grid.shape))} voxels of "
         f"{grid.spacing[0]:.4g}, {written / 2**20:,.1f} MiB"
     )
@@ -237,12 +237,12 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
         out = part_of(out)
     manifest = read_manifest(out)
     if mended := mend_arrays(out):
-        print(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
+        print_line(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
     with CountProgress("maps checked") as progress:
         found = damaged(out, progress)
     if not found:
         count = shard_count(manifest)
-        print(f"{out}: {f'all {count:,} shards are' if count > 1 else 'its shard is'} sound")
+        print_line(f"{out}: {f'all {count:,} shards are' if count > 1 else 'its shard is'} sound")
         return None
     known = manifest["source"] or {}
     if source is not None:
@@ -251,7 +251,9 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     with CountProgress("maps") as progress:
         dataset.verify(out, family, device=device, ray=ray, shards=found, progress=progress)
     numbers = ", ".join(map(str, found[:10])) + (", ..." if len(found) > 10 else "")
-    print(f"{out}: {len(found):,} of {shard_count(manifest):,} shards were damaged and have been made again: {numbers}")
+    print_line(
+        f"{out}: {len(found):,} of {shard_count(manifest):,} shards were damaged and have been made again: {numbers}"
+    )
     return None
 
 
@@ -298,7 +300,7 @@ def _family(known: dict[str, Any], skip_bad: bool, *, named: bool) -> Family:
     except MeshError as error:
         raise MeshError(as_options(str(error))) from error
     for name, reason in family.rejected:
-        print(f"sdm: {name} is not used: {as_options(reason)}", file=sys.stderr)
+        print_line(f"sdm: {name} is not used: {as_options(reason)}", error=True)
     if family.rejected and not skip_bad:
         files = "1 file" if len(family.rejected) == 1 else f"{len(family.rejected)} files"
         raise MeshError(

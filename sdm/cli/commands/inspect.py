@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from sdm.cli.common.printed_line import printable
+
 if TYPE_CHECKING:
     from sdm.inspect import MeshReport
 
@@ -38,9 +40,10 @@ def _print_table(report: MeshReport) -> None:
 
     console = Console(highlight=False)
     # As Text, since a name may look like markup.
-    table = Table(title=Text(report.name), title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
-    for name, value in _rows(report):
-        table.add_row(name, Text(value, overflow="fold"))
+    name = Text(printable(report.name))
+    table = Table(title=name, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    for fact, value in _rows(report):
+        table.add_row(fact, Text(value, overflow="fold"))
     console.print(table)
     if not report.problems:
         console.print("no problems found", style="green")

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.printed_line import print_line
+
 
 def predict(
     *,
@@ -62,7 +64,7 @@ def predict(
         field = exact_map(theta) if exact else Predictor(weights, backend=backend).predict(theta)
     field.save(out)
     how, unit = "exact" if exact else "surrogate", " mm" if model is None else ""
-    print(f"{out}: {' x '.join(map(str, field.grid.shape))} voxels of {field.grid.spacing[0]:.4g}{unit}, {how}")
+    print_line(f"{out}: {' x '.join(map(str, field.grid.shape))} voxels of {field.grid.spacing[0]:.4g}{unit}, {how}")
     return None
 
 

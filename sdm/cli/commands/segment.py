@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def segment(
@@ -87,9 +88,9 @@ def segment(
             progress(number, len(cases))
             found = predict_ensemble(trained, case.image, stride=stride, largest=not all_parts, mirrors=mirrors)
             label, distances = write_prediction(case, found.label, out)
-            print(label if distances is None else f"{label} {distances}", flush=True)
+            print_line(label if distances is None else f"{label} {distances}")
             if distances is None:
                 empty.append(case.name)
     if empty:
-        print(f"no distance map for {', '.join(empty)}: nothing, or everything, is foreground")
+        print_line(f"no distance map for {', '.join(empty)}: nothing, or everything, is foreground")
     return None

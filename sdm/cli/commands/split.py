@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def split(
@@ -67,11 +67,12 @@ def split(
     with CountProgress("meshes") as progress:
         found = split_folder(names, files, shares, seed=seed, twins=twins, group=group, device=where, progress=progress)
     for name, reason in found.skipped:
-        print(f"sdm: {name} is not used: {reason}", file=sys.stderr)
+        print_line(f"sdm: {name} is not used: {reason}", error=True)
     if found.skipped and not skip_bad:
-        raise MeshError(f"{len(found.skipped)} meshes of {folder} cannot be used: mend them, or go on by --skip-bad")
+        many, them = ("1 mesh", "it") if len(found.skipped) == 1 else (f"{len(found.skipped)} meshes", "them")
+        raise MeshError(f"{many} of {folder} cannot be used: mend {them}, or go on by --skip-bad")
     pairs = [[one, other, float(f"{distance:.6g}")] for one, other, distance in found.twins]
     more = {"seed": seed, "shares": shares, "near_twins_below": twins, "group": group, "twins": pairs}
     write_split(target, found.parts, **more, skipped=[list(pair) for pair in found.skipped])
     counts = ", ".join(f"{len(own):,} {part}" for part, own in found.parts.items())
-    print(f"{target}: {counts}; {len(found.twins):,} pairs of near twins, kept on one side")
+    print_line(f"{target}: {counts}; {len(found.twins):,} pairs of near twins, kept on one side")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import traceback
 
+from sdm.cli.common.printed_line import printable
+
 
 def sentence_of(error: BaseException) -> str | None:
     """An error in one sentence, if a user can do something about it; None for mistakes in this program."""
@@ -13,7 +15,7 @@ def sentence_of(error: BaseException) -> str | None:
         # Its package imports what a mistyped command needs none of.
         from sdm.io.files.stand_in import shown
 
-        return shown(" ".join(str(error).split()))
+        return printable(shown(str(error).strip()))
     # The allocators of torch raise this class, which cannot be named before torch is imported.
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError" or _is_full_host(error):
         return "there is not enough memory: choose a lower resolution or a smaller batch"
@@ -25,7 +27,7 @@ def sentence_of(error: BaseException) -> str | None:
                 "name a folder that can be written, and has some 100 MB free, by WARP_CACHE_PATH"
             )
         where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror or error}"
+        return printable(f"{where}{error.strerror or error}")
     return None
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import torch
 
+from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.progress import StageProgress
 from sdm.core.signed_distance_map import SDM
 
@@ -43,7 +43,7 @@ class FitProgress(StageProgress):
 
     def __enter__(self) -> Self:
         if self._notice is not None:
-            print(f"sdm: {self._name}: {self._notice}", file=sys.stderr, flush=True)
+            print_line(f"sdm: {self._name}: {self._notice}", error=True)
         self.draw("start", 0, None)
         return super().__enter__()
 
@@ -57,10 +57,9 @@ class FitProgress(StageProgress):
         elif step == 2:
             seconds = time.monotonic() - self._first
             self._notice = None
-            print(
+            print_line(
                 f"sdm: {self._name}: a step takes about {seconds:.2g} s, and most fits {USUAL_STEPS} of them",
-                file=sys.stderr,
-                flush=True,
+                error=True,
             )
 
 

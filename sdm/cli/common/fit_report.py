@@ -9,6 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.progress import StageProgress
 from sdm.io.files.json_file import write_json
 
@@ -147,7 +148,7 @@ def save_free_form(
     with StageProgress() as progress:
         found = free_form(scan.values, scan.grid, start(), blur=own, device=device, report=progress)
     save_mesh(found.mesh, path)
-    print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")
+    print_line(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")
 
 
 def print_points(record: dict[str, Any], state: Any, count: int, distance: float, unit: str) -> None:

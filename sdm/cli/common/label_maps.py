@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.common.printed_line import print_line
 from sdm.core.signed_distance_map import SDM
 from sdm.deepsdf.samples.label_surface import label_map
 from sdm.engine.distance_transform import euclidean_distance_transform
@@ -81,7 +82,7 @@ def write_label_maps(
         else:
             made = label_map(mask, field.grid, smoothing=smooth)
         save(made, target)
-        print(
+        print_line(
             f"{source.name}: class {value}, {int(mask.sum()):,} voxels, {field.grid.summary}, "
             f"{time.perf_counter() - begin:.2f} s on {device}, written to {target}"
         )

@@ -7,6 +7,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from sdm.cli.common.printed_line import print_line, printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -50,7 +52,7 @@ class _Bar:
         if self._drawn is None:
             self._drawn = self._start()
         progress, task = self._drawn
-        progress.update(task, description=text, total=total, completed=done)
+        progress.update(task, description=printable(text), total=total, completed=done)
 
     def _start(self) -> tuple[Progress, TaskID]:
         from rich.console import Console
@@ -120,7 +122,7 @@ class FileProgress(_Bar):
 
     def print(self, line: str, *, warn: bool = False) -> None:
         """Print a line that stays: on stdout, or on stderr if it is a warning."""
-        print(line, file=sys.stderr if warn else sys.stdout, flush=True)
+        print_line(line, error=warn)
 
 
 class CountProgress(_Bar):

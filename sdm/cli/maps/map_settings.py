@@ -18,6 +18,7 @@ from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
 from sdm.errors import FormatError, GridError, SDMError
 from sdm.io.bands.save_and_load import check_band_target
+from sdm.io.maps.formats import check_normalized
 from sdm.io.maps.half_precision import require_half_range
 from sdm.shapes.family import check_resolution
 
@@ -134,8 +135,8 @@ class Settings:
         Raises:
             FormatError: Half precision, a narrow band or a normalisation in a format that has none.
         """
-        if self.normalize is not None and target.name.lower().endswith(".nvdb"):
-            raise FormatError("a .nvdb file has no room for what a mesh was normalised by: use another format")
+        if self.normalize is not None:
+            check_normalized(target)
         if self.band is not None:
             check_band_target(target)
         if self.dtype != "float32" and not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):

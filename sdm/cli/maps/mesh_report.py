@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from sdm.cli.common.printed_line import printable
 from sdm.io.files.json_file import write_json
 
 VERSION = 1
@@ -59,7 +60,7 @@ def failures_table(entries: list[MeshEntry]) -> list[str]:
     failed = [entry for entry in entries if entry.state == "failed"]
     counts = {state: sum(entry.state == state for entry in entries) for state in ("done", "there already", "failed")}
     warned = sum(bool(entry.warnings) for entry in entries)
-    width = min(WIDEST, max((len(entry.mesh) for entry in failed), default=0))
-    lines = [f"{entry.mesh:<{width}}  {entry.reason}" for entry in failed]
+    width = min(WIDEST, max((len(printable(entry.mesh)) for entry in failed), default=0))
+    lines = [f"{printable(entry.mesh):<{width}}  {entry.reason}" for entry in failed]
     said = ", ".join(f"{count:,} {state}" for state, count in counts.items() if count or state == "done")
     return [*lines, f"{len(entries):,} meshes: {said}{f', {warned:,} with warnings' if warned else ''}"]

@@ -31,8 +31,9 @@ def _about_gaps(inside: int, ambiguous: int, doubtful: bool, grid: Grid) -> list
     """Said of a mesh that is not closed, where there is anything to add to the doubts about it."""
     if ambiguous:
         share = 100 * ambiguous / grid.size
+        voxels, are = ("1 voxel", "is") if ambiguous == 1 else (f"{ambiguous:,} voxels", "are")
         text = (
-            f" is not closed: whether {ambiguous:,} voxels ({share:.2g} %) are inside is ambiguous; "
+            f" is not closed: whether {voxels} ({share:.2g} %) {are} inside is ambiguous; "
             "the sign follows the generalised winding number (sdm inspect tells more)"
         )
         return [text]

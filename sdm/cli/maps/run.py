@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
+from sdm.cli.common.printed_line import print_line, printable
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
@@ -107,12 +107,12 @@ def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
     failed = [entry for entry in entries if entry.state == "failed"]
     if skip_bad:
         for line in failures_table(entries):
-            print(line)
+            print_line(line)
         return None
     for entry in failed:
         # Most sentences name the file already.
-        named = entry.reason if entry.mesh in (entry.reason or "") else f"{entry.mesh}: {entry.reason}"
-        print(f"sdm: {named}", file=sys.stderr)
+        named = entry.reason if printable(entry.mesh) in (entry.reason or "") else f"{entry.mesh}: {entry.reason}"
+        print_line(f"sdm: {named}", error=True)
     if failed:
-        print(f"sdm: {len(failed)} of {len(entries)} meshes failed; the others are done", file=sys.stderr)
+        print_line(f"sdm: {len(failed)} of {len(entries)} meshes failed; the others are done", error=True)
     return 2 if failed else None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sdm.cli.common.output_files import inputs_of, places_in
+from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
@@ -181,7 +182,7 @@ def run(
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
     done = sum(entry.state != "failed" for entry in entries)
-    print(f"{shown(out)}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
+    print_line(f"{shown(out)}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
     return sum_up(entries, skip_bad)
 
 

@@ -18,6 +18,7 @@ from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError
 from sdm.io.bands.volume import inside_of, nodes_of, volume_of
+from sdm.io.files.one_line import one_line
 from sdm.io.maps import nvdb
 from sdm.io.maps.record import HOLE_SIZE, MADE_FROM, SIGN_METHOD, TRUNCATED
 
@@ -34,7 +35,7 @@ def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
     try:
         volume = volume_of(band.cpu())
     except RuntimeError as error:
-        raise FormatError(f"Warp cannot make a NanoVDB volume of shape {band.shape}: {error}") from error
+        raise FormatError(f"Warp cannot make a NanoVDB volume of shape {band.shape}: {one_line(error)}") from error
     told: Any = SimpleNamespace(
         grid=band.grid,
         hole_size=band.hole_size,

@@ -33,6 +33,7 @@ class Format:
         streamed: Whether the writer takes a map slab by slab, into a folder.
         alone: Whether `planned_unseen` of that file says how a map is written without torch. Of what is packed: what is
             only written gains nothing by processes of its own.
+        normalized: Whether a file has room for what a mesh was normalised by.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Format:
     writer: str = "write"
     streamed: bool = False
     alone: bool = False
+    normalized: bool = True
 
     @property
     def module(self) -> ModuleType:
@@ -56,7 +58,7 @@ FORMATS = {
     "mhd": Format("metaimage", extra_maps=1.0),
     "vti": Format("vti", extra_maps=2.0),
     "zarr": Format("zarr", streamed=True),
-    "nvdb": Format("nvdb", extra_maps=4.5),
+    "nvdb": Format("nvdb", extra_maps=4.5, normalized=False),
 }
 # Images of which the geometry alone is read: the header of an NRRD image whose values lie in another file.
 HEADERS = {"nhdr": Format("nrrd")}
@@ -72,6 +74,16 @@ def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:
     if found is None:
         raise FormatError(f"{path} does not end like a map: use one of .{', .'.join(formats)}")
     return found
+
+
+def check_normalized(path: Path) -> None:
+    """Refuse a file that has no room for what a mesh was normalised by.
+
+    Raises:
+        FormatError: It is one, or does not end like a map.
+    """
+    if not format_of(path).normalized:
+        raise FormatError(f"{path} has no room for what a mesh was normalised by: use another format than .nvdb")
 
 
 def is_map_name(path: Path) -> bool:

@@ -28,6 +28,7 @@ from isal import isal_zlib
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
+from sdm.io.files.one_line import one_line
 from sdm.io.maps.record import DISAGREEMENTS, HOLE_SIZE, MADE_FROM, SIGN_METHOD, TRUNCATED, sign_arguments
 from sdm.kernels.nanovdb import lookup, store
 
@@ -59,15 +60,13 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map as a level set.
 
     Raises:
-        FormatError: Warp cannot make such a volume, or the map was normalised, which the file has no room for.
+        FormatError: Warp cannot make such a volume.
     """
-    if field.normalization is not None:
-        raise FormatError("a .nvdb file has no room for what a mesh was normalised by: use another format")
     grid, values = field.grid, field.numpy().astype(np.float32, copy=False)
     try:
         volume = _volume(grid, values)
     except RuntimeError as error:
-        raise FormatError(f"Warp cannot make a NanoVDB volume of shape {grid.shape}: {error}") from error
+        raise FormatError(f"Warp cannot make a NanoVDB volume of shape {grid.shape}: {one_line(error)}") from error
     for begin in range(0, len(values), LAYERS):
         slab = np.ascontiguousarray(values[begin : begin + LAYERS])
         store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False))

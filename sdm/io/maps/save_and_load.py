@@ -20,7 +20,15 @@ from sdm.io.bands.save_and_load import band_origin, is_band, read_band, save_ban
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import is_remote, local_copy, local_for
-from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
+from sdm.io.maps.formats import (
+    FORMATS,
+    HEADERS,
+    Format,
+    check_normalized,
+    check_target,
+    format_of,
+    require_memory_to_write,
+)
 from sdm.io.maps.record import MADE_FROM, signs_record
 
 if TYPE_CHECKING:
@@ -81,6 +89,8 @@ def write_made_from(
         The number of voxels inside, where such a process has counted them.
     """
     chosen = format_of(target)
+    if field.normalization is not None:
+        check_normalized(target)
     if workers is not None and chosen.alone:
         return workers.call(target, *chosen.module.planned_unseen(field, made_from))
     with replacing(target) as part:

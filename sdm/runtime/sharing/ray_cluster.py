@@ -70,7 +70,7 @@ def run_on_ray(job: SharedJob, shards: list[int], address: str, done: Callable[[
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
-            raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
+            raise SDMError(f"there is no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
     try:
         # Workers are in folders of their own.
         _Crew(ray, job.absolute(), done).run(list(reversed(shards)))
@@ -88,7 +88,7 @@ def _knock(address: str) -> None:
         socket.create_connection((place[1].strip("[]"), int(place[2])), timeout=KNOCK).close()
     # A port beyond those that there are is an OverflowError.
     except (OSError, OverflowError) as error:
-        raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
+        raise SDMError(f"there is no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
 
 
 class _Crew:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def build(
@@ -76,7 +77,7 @@ def build(
                 found, scale=scale, modes=modes, resolution=resolution, device=device, progress=progress
             )
             maps.save(out)
-            print(
+            print_line(
                 f"{out}: {len(maps.modes)} modes of the maps of {len(found)} shapes, {_share(maps.facts, maps.modes)}"
             )
             return None
@@ -95,12 +96,12 @@ def build(
     rows = [row for row in model.facts["shapes"] if "distance" in row]
     if rows:
         worst = max(rows, key=lambda row: row["distance"])
-        print(
+        print_line(
             f"template laid: {sum(row['distance'] for row in rows) / len(rows):.4g} from the meshes on average, "
             f"{worst['distance']:.4g} from {worst['name']}; {sum(row['turned'] for row in rows)} faces turned over, "
             f"{sum(row['cut'] for row in rows)} in another part of their shape"
         )
-    print(f"{out}: {len(model.modes)} modes of {len(found)} shapes, {_share(model.facts, model.modes)}")
+    print_line(f"{out}: {len(model.modes)} modes of {len(found)} shapes, {_share(model.facts, model.modes)}")
     return None
 
 

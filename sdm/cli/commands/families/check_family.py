@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def check(
@@ -51,7 +52,7 @@ def check(
     refuse_inputs([out], [Path(name.rpartition(":")[0] or name)])
     family = load_family(name, triangles=triangles)
     found = check_family(family, samples=count, seed=seed, device=device)
-    print(f"{name}: {len(family.parameters)} parameters, {found.triangles:,} triangles a shape")
+    print_line(f"{name}: {len(family.parameters)} parameters, {found.triangles:,} triangles a shape")
     for p in family.parameters:
         print(f"  {p.name:<12} {p.low:g} to {p.high:g}" + ("" if p.unit == "1" else f" {p.unit}"))
     print(f"closed       {_share(found.closed)} of {found.samples} shapes")

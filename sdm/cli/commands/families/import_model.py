@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.printed_line import print_line
+
 
 def import_model(
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")],
@@ -31,7 +33,7 @@ def import_model(
     model = read_gias_model(source, load_mesh(mean), vertices=_range(vertices))
     save_model(model, out)
     shares = (model.deviations**2 / (model.deviations**2).sum())[:3].tolist()
-    print(
+    print_line(
         f"{out}: {len(model.mean):,} vertices, {len(model.triangles):,} faces, {len(model.modes)} modes with "
         f"{', '.join(f'{100 * share:.3g} %' for share in shares)} of the variance"
     )

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.printed_line import print_line
+
 # Triangles that a small picture of a shape needs.
 ENOUGH = 4000
 
@@ -61,5 +63,5 @@ def show(
         group = next(iter(family.groups(one[None], one[None])))
         shapes.append((group.vertices[0].detach().cpu().numpy(), group.faces.cpu().numpy()))
     family_sheet(shapes, captions, out, title=f"{family.name}: {width} parameters, {len(shapes[0][1]):,} triangles")
-    print(f"{out}: {len(shapes)} shapes of {name}")
+    print_line(f"{out}: {len(shapes)} shapes of {name}")
     return None

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from sdm.cli.common.printed_line import print_line
+
 if TYPE_CHECKING:
     from sdm.core.signed_distance_map import SDM
 
@@ -58,7 +60,7 @@ def show(
             print(f"{name}: " + ", ".join(f"{y:.3g} ({m})" for m, y in zip(curve["modes"], curve["mean"], strict=True)))
     shares = facts.get("compactness", [])
     print("compactness: " + ", ".join(f"{100 * x:.3g} % ({n + 1})" for n, x in enumerate(shares[:10])))
-    print(f"{out}: the mean and {(len(meshes) - 1) // 2} modes of {model}")
+    print_line(f"{out}: the mean and {(len(meshes) - 1) // 2} modes of {model}")
     return None
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from sdm.cli.common.printed_line import print_line
+
 
 def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution: int, seed: int, device: str) -> None:
     """Train, write the surrogate, measure its card and draw it.
@@ -60,7 +62,7 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
             exact, guess, card, out / "card.png", title=f"{family.name}: {resolution}^3 voxels of {card['voxel']:.3g}"
         )
     unit = f" {card['unit']}" if card["unit"] else ""
-    print(
+    print_line(
         f"{out}: mean error {card['mean']:.3g}{unit}, near the surface {card['near']:.3g}{unit}, "
         f"Dice {card['dice']:.4f}, the least found {card['worst']['dice']['dice']:.4f}; see card.md"
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
@@ -84,7 +84,7 @@ def deepsdf(
         found = ShapeSet(meshes, where, skip_bad=skip_bad)
         if is_first():
             for name, why in (*rejected, *found.rejected):
-                print(f"sdm: {name} is not used: {why}", file=sys.stderr)
+                print_line(f"sdm: {name} is not used: {why}", error=True)
         # Of several ranks the first writes.
         with training_folder(out, lock=is_first()), CountProgress("steps", budget_s=budget_s) as progress:
             # Before the training, not at its first checkpoint.
@@ -102,7 +102,7 @@ def deepsdf(
                 progress=lambda step, steps, _: progress(step, steps),
             )
     if is_first():
-        print(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")
+        print_line(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")
 
 
 def _meshes(source: str, count: int, split: str | None) -> tuple[list[TriangleMesh], list[tuple[str, str]]]:

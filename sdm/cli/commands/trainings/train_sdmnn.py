@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def sdmnn(
@@ -147,5 +148,5 @@ def sdmnn(
         facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
         before = {} if start is None else {"started_from": training_of(start)}
         save_weights(trained, target, training=facts, **before)
-    print(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
+    print_line(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
     return None

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sdm.cli.common.argument_types import Device
+from sdm.cli.common.printed_line import print_line
 
 
 def segmentation(
@@ -162,11 +163,11 @@ def segmentation(
                 progress=progress,
             )
         if training.step < steps:
-            print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
+            print_line(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
             return None
         save_model(TrainedModel(training.model, settings, cases[0].spacing), out / "model.pt")
         checkpoint.unlink(missing_ok=True)
-    print(f"{out / 'model.pt'}: {method}, {steps:,} steps on {len(cases)} cases, {training.seconds:,.0f} s")
+    print_line(f"{out / 'model.pt'}: {method}, {steps:,} steps on {len(cases)} cases, {training.seconds:,.0f} s")
     if others:
         scores = [largest for _, _, largest in validate(training.model, others, patch)]
         columns = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm")
