@@ -158,7 +158,7 @@ def run_instead(monkeypatch, error: BaseException) -> int:
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [
-        (GridError("a\nb"), 2, "sdm: a b"),
+        (GridError("a\nb"), 2, "sdm: a\\nb"),
         (KeyboardInterrupt(), 130, "sdm: interrupted"),
         (MemoryError(), 2, "not enough memory"),
         (OSError(28, "No space left on device", "x.npz"), 2, "x.npz: No space left on device"),
