@@ -90,9 +90,9 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
-    from sdm.cli.common.fit_progress import FitProgress
-    from sdm.cli.common.fit_report import FitFiles, write_fit
     from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.fits.fit_progress import FitProgress
+    from sdm.cli.fits.fit_report import FitFiles, write_fit
     from sdm.core.device import choose_device
     from sdm.errors import SDMError
     from sdm.fit import FitOptions, fit_shape

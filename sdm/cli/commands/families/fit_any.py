@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sdm.cli.common.fit_report import FitFiles
+    from sdm.cli.fits.fit_report import FitFiles
     from sdm.fit.model.backend import Backend
 
 
@@ -38,8 +38,8 @@ def fit_any_family(
         mirror: Fit mirror images of the family's shapes.
     """
     import sdm
-    from sdm.cli.common.fit_progress import FitProgress
-    from sdm.cli.common.fit_report import write_fit
+    from sdm.cli.fits.fit_progress import FitProgress
+    from sdm.cli.fits.fit_report import write_fit
     from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
     if is_network(name):
@@ -116,7 +116,7 @@ def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
     """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
-    from sdm.cli.common.fit_report import NOT_CONVERGED, print_points
+    from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
     from sdm.errors import SDMError
     from sdm.fit.solve.fit_points import fit_points
     from sdm.io.files.json_file import write_json

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sdm.cli.common.fit_report import FitFiles
+    from sdm.cli.fits.fit_report import FitFiles
 
 
 def fit_network(
@@ -22,8 +22,8 @@ def fit_network(
 ) -> None:
     """Fit a DeepSDF to an image, and write files; the arguments are those of `fit_any_family`."""
     import sdm
-    from sdm.cli.common.fit_progress import FitProgress
-    from sdm.cli.common.fit_report import write_fit
+    from sdm.cli.fits.fit_progress import FitProgress
+    from sdm.cli.fits.fit_report import write_fit
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
     from sdm.deepsdf.infer.fit_deepsdf import fit_deepsdf
@@ -55,7 +55,7 @@ def fit_network_points(
     found: Any, points: Path, name: str, out: Path, mesh: Path | None, turn: float, device: str
 ) -> None:
     """Fit a DeepSDF to points (N,3) of a file, and write report and surface."""
-    from sdm.cli.common.fit_report import NOT_CONVERGED, print_points
+    from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
     from sdm.deepsdf.infer.fit_code import surface_of_code

@@ -9,7 +9,7 @@ import torch
 
 import sdm
 from sdm.cli.common import progress as progress_module
-from sdm.cli.common.fit_progress import FitProgress, size_notice
+from sdm.cli.fits.fit_progress import FitProgress, size_notice
 from sdm.fit import FitOptions
 
 

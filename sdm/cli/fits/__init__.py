@@ -1,0 +1,1 @@
+"""Progress and files of fits, whatever is fitted."""
