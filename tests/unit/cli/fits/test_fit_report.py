@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from sdm.cli.common import fit_report
+from sdm.cli.fits import fit_report
 from sdm.core.mesh import TriangleMesh
 from sdm.fit.solve import free_form
 
