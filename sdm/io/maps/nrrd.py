@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
@@ -38,6 +39,8 @@ FLIPPED = {
 }
 # Four-dimensional spaces end like this.
 WITH_TIME = "-time"
+# Bytes from the begin in which that comment is, and no value.
+EARLY = 64
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -54,8 +57,18 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         "encoding": "raw",
         KEY: to_line(kept),
     }
-    with path.open("wb") as file:
+    with _WithoutDate(path.open("wb", buffering=0)) as file:
         nrrd.write(file, values, header, index_order="F")
+
+
+class _WithoutDate(io.BufferedWriter):
+    """A file that leaves out pynrrd's comment about the time, so that the same map gives the same bytes."""
+
+    def write(self, piece: Any, /) -> int:
+        # Values that happen to begin so come later.
+        if self.tell() < EARLY and piece.startswith(b"# on "):
+            return len(piece)
+        return super().write(piece)
 
 
 def read(path: Path) -> SDM:

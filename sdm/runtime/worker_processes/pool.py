@@ -16,12 +16,15 @@ from typing import Any, NamedTuple, Self
 from sdm.errors import SDMError
 from sdm.runtime.worker_processes.shared_memory import SharedMemory, packed
 
-# Before anything is imported, the places where this process finds what it imports.
+# Before anything is imported, the places where this process finds what it imports; none if it was interrupted.
 BEGIN = """
-import sys
+import os, sys
 from multiprocessing.connection import Connection
 links = [Connection(int(number)) for number in sys.argv[1:]]
-sys.path[:] = links[0].recv()
+try:
+    sys.path[:] = links[0].recv()
+except (EOFError, OSError):
+    os._exit(0)
 from sdm.runtime.worker_processes.serve import serve
 serve(links)
 """

@@ -11,6 +11,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +134,16 @@ with WorkerProcesses("{HERE}:process", 2) as workers, ThreadPoolExecutor(2) as t
     threads.submit(workers.call, 60)
     time.sleep(60)
 """
+
+
+def test_those_that_are_let_go_of_while_they_start_say_nothing(monkeypatch, capfd):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Connection, "send", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        WorkerProcesses(f"{HERE}:process", 2)
+    assert capfd.readouterr().err == ""
 
 
 def test_they_end_with_a_killed_process():
