@@ -75,6 +75,10 @@ def put(target: Path, content: bytes | Path) -> None:
             part.write_bytes(content)
             _flush(part)
             part.replace(target)
+        except OSError as error:
+            # Of a file that is open the system tells no name.
+            error.filename = error.filename or str(target)
+            raise
         finally:
             part.unlink(missing_ok=True)
     # Without this a power cut may forget the renaming.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import re
+import signal
 import socket
 import textwrap
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -67,16 +69,24 @@ def run_on_ray(job: SharedJob, shards: list[int], address: str, done: Callable[[
     own = not ray.is_initialized()
     if own:
         _knock(address)
+        before = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise SDMError(f"there is no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
+        _handle_termination_by(before)
     try:
         # Workers are in folders of their own.
         _Crew(ray, job.absolute(), done).run(list(reversed(shards)))
     finally:
         if own:
             ray.shutdown()
+
+
+def _handle_termination_by(handler: Any) -> None:
+    """Take SIGTERM back from Ray, one of whose two handlers exits with 15, and the other aborts with a dump."""
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
 
 
 def _knock(address: str) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -279,3 +280,12 @@ def test_names_as_long_as_names_may_be(tmp_path, letter):
             save(FIELD, target)
     put(tmp_path / f"{letter * count}.txt", b"content")
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_full_disk_is_told_with_the_file(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match=rf"No space left on device: '{tmp_path}/map'"):
+        put(tmp_path / "map", b"content")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import hashlib
 import os
 import signal
@@ -19,6 +20,7 @@ import torch
 import trimesh
 
 from sdm.cli import main
+from sdm.cli.common.termination import Terminated, raised_termination
 from sdm.cli.maps import run as map_run
 from sdm.cli.maps import sample_run
 from sdm.cli.maps.map_job import MapJob
@@ -107,6 +109,35 @@ def test_workers_find_a_dataset_that_was_named_from_here(tmp_path, monkeypatch):
     Path("d.zarr.part").mkdir()
     cluster.run_on_ray(job(FAMILY, Path("d.zarr.part")), [0, 1], "auto", lambda _: None)
     assert told == [Path.cwd() / "d.zarr.part"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
+def test_termination_is_handled_as_before(tmp_path, monkeypatch):
+    """Ray puts a handler in the place of Python's, and one below it, as faulthandler does here."""
+
+    class Crew:
+        def __init__(self, ray: Any, job: Job, done: Any) -> None:
+            pass
+
+        def run(self, todo: list[int]) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with (tmp_path / "dump").open("w") as dump:
+
+        def init(**_: Any) -> None:
+            signal.signal(signal.SIGTERM, lambda number, _: sys.exit(number))
+            faulthandler.register(signal.SIGTERM, file=dump)
+
+        ray = SimpleNamespace(
+            is_initialized=lambda: False,
+            init=init,
+            shutdown=lambda: faulthandler.unregister(signal.SIGTERM),
+        )
+        monkeypatch.setattr(cluster, "_Crew", Crew)
+        monkeypatch.setitem(sys.modules, "ray", ray)
+        with pytest.raises(Terminated), raised_termination():
+            cluster.run_on_ray(job(FAMILY, tmp_path), [0], "auto", lambda _: None)
+    assert not (tmp_path / "dump").read_text()
 
 
 @pytest.mark.slow
