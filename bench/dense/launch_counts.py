@@ -40,7 +40,7 @@ from sdm.kernels.bvh.tree import depth_for
 from sdm.kernels.dense.plan import Workload, make_plan
 from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding import open_caps
-from sdm.topology import guesses
+from sdm.topology import device_joining, guesses
 
 GPU_BYTES = 80 << 30
 # Operations that wait for the device, by the beginning of their names; views and empty tensors cost no launch.
@@ -99,7 +99,7 @@ class Counts(TorchDispatchMode):
 def as_on_a_gpu(split_length: int) -> Iterator[None]:
     """Choices of a GPU where a CPU has others, on one thread; `split_length` as `PlanOptions` has it."""
     with ExitStack() as stack:
-        stack.enter_context(mock.patch.object(guesses, "JOINING_DEVICES", ("cuda", "cpu")))
+        stack.enter_context(mock.patch.object(device_joining, "JOINING_DEVICES", ("cuda", "cpu")))
         stack.enter_context(mock.patch.dict(open_caps.MOST_FIRST, {"cpu": open_caps.MOST_FIRST["cuda"]}))
         # Read by a CPU alone, which measures thick slices otherwise.
         stack.enter_context(mock.patch.object(ops, "scales_of", lambda _, meshes: [1.0] * meshes))

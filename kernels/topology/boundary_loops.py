@@ -19,16 +19,17 @@ import warp as wp
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_block
+from sdm.kernels.topology import boundary_flags
+from sdm.kernels.topology.boundary_flags import ALL_EDGES, WRONG_EDGES, edges_in
 from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 from sdm.kernels.topology.ends_at_one_place import join_ends, rows_of
+from sdm.kernels.topology.many_edges import join_many_edges
+from sdm.kernels.topology.many_loops import cap_many_loops
 
 wp.set_module_options({"enable_backward": False})
 
-# Places of the flags: a vertex out of range; by how many more edges than guessed are unmatched, and than bound the
-# mesh, or if there is room for them, than there is room for; edges that are followed by none.
-# Behind them how many are unmatched, and how many bound the mesh.
-WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
-ALL_UNMATCHED, ALL_EDGES, NUMBERS = 4, 5, 6
+# Where there may be more, to compare each with all takes longer than to sort them.
+MOST_COMPARED = 1 << 13
 _NONE = 0x7FFFFFFF
 # Threads that number the loops, a block, of up to so many edges and of more; and numbers that each loads at once, and
 # that each lane does which compares an edge with others.
@@ -36,13 +37,6 @@ BLOCK, FEW_LOOPED, LARGE_BLOCK, AT_ONCE, COMPARED = 128, 512, 512, 4, 8
 Numbers = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
 Keys = wp.types.vector(length=COMPARED, dtype=wp.int64)
 Others = wp.types.vector(length=COMPARED, dtype=wp.int32)
-
-
-@wp.func
-def edges_in(flags: wp.array(dtype=wp.int32), room: int):
-    """Boundary edges, in the same way."""
-    edges = flags[ALL_EDGES]
-    return wp.where(edges <= room, edges, 0)
 
 
 @wp.func
@@ -113,12 +107,12 @@ def _write_edges(
     row = thread / lanes
     if row == 0 and lane == 0:
         more = found[UNMATCHED] - balances.shape[0]
-        flags[WRONG_VERTEX] = flags[WRONG_VERTEX] | found[OUT_OF_RANGE]
-        flags[ALL_UNMATCHED] = found[UNMATCHED]
+        flags[boundary_flags.WRONG_VERTEX] = flags[boundary_flags.WRONG_VERTEX] | found[OUT_OF_RANGE]
+        flags[boundary_flags.ALL_UNMATCHED] = found[UNMATCHED]
         if in_room != 0:
-            flags[WRONG_UNMATCHED] = wp.max(more, 0)
+            flags[boundary_flags.WRONG_UNMATCHED] = wp.max(more, 0)
         else:
-            flags[WRONG_UNMATCHED] = more
+            flags[boundary_flags.WRONG_UNMATCHED] = more
             fetch_add(flags, WRONG_EDGES, -edges.shape[0])
     rows = rows_of(found, balances.shape[0])
     if row >= rows:
@@ -216,7 +210,7 @@ def _follow(
         following = below + earlier
         if earlier >= meeting:
             # The number of edges was guessed wrong.
-            flags[TANGLED] = 1
+            flags[boundary_flags.TANGLED] = 1
             following = place
         ordered[place] = edge
         firsts[place] = start
@@ -378,6 +372,13 @@ def join_edges(
         written: Called once the kernels are queued that write `edges` and tell how many there are.
     """
     device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
+    if max(rows, count) > MOST_COMPARED:
+        join_many_edges(unmatched, found, vertices, edges, flags, empty, in_room)
+        if written is not None:
+            written()
+        if caps is not None:
+            cap_many_loops(edges, caps, flags, vertices.shape[1], empty)
+        return
     lanes = GPU_LANES if device.is_cuda else 1
     same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)

@@ -46,7 +46,7 @@ BEYOND = 1 << 30
     }
 """
 )
-def _place_of(keys: wp.array(dtype=wp.int64), key: wp.int64, last: int) -> int:
+def place_of(keys: wp.array(dtype=wp.int64), key: wp.int64, last: int) -> int:
     """The place of a key in a table of `last` + 1 places, a power of two, taken if nobody has it; 0 is a free one."""
     ...
 
@@ -85,7 +85,7 @@ def _enter(
     # One from a vertex to itself has no neighbour.
     if start != end:
         key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
-        place = _place_of(keys, key, keys.shape[0] - 1)
+        place = place_of(keys, key, keys.shape[0] - 1)
         # Zero is none.
         following[edge] = _exchange(heads, place, edge + 1)
     places[edge] = place

@@ -22,8 +22,9 @@ from sdm.kernels.winding import cap_tree, dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import FRAMES, MOMENTS, Join, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, repeated_row, workspace
-from sdm.topology.boundary_edges import MeshTopology, boundary_edges
+from sdm.topology.boundary_edges import MOST_ON_HOST, MeshTopology, boundary_edges
 from sdm.topology.cap_triangles import cap_triangles, turned_faces
+from sdm.topology.device_joining import boundary_on_device
 from sdm.topology.face_pairing import pairing_of
 
 
@@ -219,6 +220,8 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
             "one call can take; use smaller batches, or a coarser mesh"
         )
     pairing = pairing_of(faces, vertices.shape[-2])
+    if edges is None and pairing.unmatched.shape[0] > MOST_ON_HOST and meshes == 1:
+        edges = boundary_on_device(pairing, vertices.detach().reshape(-1, 3).contiguous())
     if edges is None:
         edges = boundary_edges(vertices, faces) if pairing.unmatched.shape[0] else pairing.unmatched[:, :2]
     kind, caps = kind_of(edges.shape[0], faces.shape[0]), edges

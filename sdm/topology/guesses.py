@@ -5,24 +5,18 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import NamedTuple
 
-import torch
-import warp as wp
 from torch import Tensor
 
-from sdm.kernels.topology import boundary_loops
 from sdm.runtime.graphs import Verify
-from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.boundary_edges import MeshTopology
-from sdm.topology.cap_triangles import remember_joined
+from sdm.topology.cap_triangles import cap_triangles
+from sdm.topology.device_joining import boundary_on_device, queue_joining
 from sdm.topology.face_pairing import Pairing, PairingUnderWay, pairing_of, queue_pairing
 
-# More unmatched edges are not compared with each other on the device; numbers of faces and vertices that are kept.
+# Of more unmatched edges no numbers are guessed; numbers of faces and vertices that are kept.
 MOST_GUESSED, MOST_KEPT = 1 << 10, 64
 # Of more it is not remembered whether the device could follow them.
 MOST_REMEMBERED = 1 << 11
-
-# Devices that join a mesh's unmatched edges themselves: a CPU's host does it in less time.
-JOINING_DEVICES = ("cuda",)
 
 
 class Guess(NamedTuple):
@@ -96,7 +90,7 @@ def queue_guessed(guessed: Guess, vertices: Tensor, faces: Tensor, verify: Verif
         verify(found)
         none = faces.new_empty((0, 2))
         return MeshTopology(neighbours, none, none)
-    flags, edges, caps = queue_joining(unmatched, found, vertices[None], guessed)
+    flags, edges, caps = queue_joining(unmatched, found, vertices[None], guessed.unmatched, guessed.boundary)
     verify(flags)
     last = vertices.shape[0] - 1
     return MeshTopology(neighbours, edges.clamp(0, last), caps.clamp(0, last))
@@ -105,54 +99,12 @@ def queue_guessed(guessed: Guess, vertices: Tensor, faces: Tensor, verify: Verif
 def topology_on_device(
     under_way: PairingUnderWay, pairing: Pairing, vertices: Tensor, faces: Tensor
 ) -> MeshTopology | None:
-    """The topology of one open mesh (V,3) whose faces were just paired, found on the device: waits for it once.
+    """The topology of one open mesh (V,3) whose faces were just paired, found on the device.
 
-    Or twice where vertices at equal positions leave other edges than the faces alone. None if that does not serve: for
-    many unmatched edges, or where many loops meet.
+    Caps are those of its loops. None if that does not serve, see `boundary_on_device`.
     """
-    unmatched = pairing.unmatched.shape[0]
-    if not 0 < unmatched <= MOST_GUESSED or vertices.device.type not in JOINING_DEVICES:
+    edges = boundary_on_device(pairing, vertices, under_way.found)
+    if edges is None:
         return None
-    numbers = Guess(unmatched, unmatched)
-    flags, edges, caps = queue_joining(pairing.unmatched, under_way.found, vertices[None], numbers)
-    said = flags.tolist()
-    more = said[boundary_loops.WRONG_EDGES]
-    if more and numbers.boundary + more > 0:
-        flags, edges, caps = queue_joining(
-            pairing.unmatched, under_way.found, vertices[None], Guess(unmatched, numbers.boundary + more)
-        )
-        said = flags.tolist()
-    elif more:
-        # They close it, so that the rest does not matter.
-        edges, caps, said = edges[:0], caps[:0], [0]
-    if any(said):
-        return None
-    remember_joined(pairing, edges, caps)
     remember(faces, vertices.shape[0], edges, simple=edges.shape[0] > 0)
-    return MeshTopology(pairing.neighbours, edges, caps)
-
-
-def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: Guess) -> tuple[Tensor, Tensor, Tensor]:
-    """Queue the boundary edges and caps of `queue_pairing`'s result for `vertices` (B,V,3).
-
-    Returns:
-        Flags, zeros if the guess was right; else nothing is right. The boundary edges (E,2), and the caps
-        (E,3).
-    """
-    device, edges = vertices.device, guessed.boundary
-    numbers, flat = torch.zeros(boundary_loops.NUMBERS + 2 * edges, dtype=torch.int32, device=device).split(
-        [boundary_loops.NUMBERS, 2 * edges]
-    )
-    caps = torch.empty(edges, 3, dtype=torch.int32, device=device)
-    bounds = flat.view(edges, 2)
-    with on_current_stream(vertices, vertices):
-        boundary_loops.join_edges(
-            as_warp(unmatched[: guessed.unmatched], wp.int32),
-            as_warp(found, wp.int32),
-            as_warp(vertices, wp.vec3),
-            as_warp(bounds, wp.int32),
-            as_warp(caps, wp.int32),
-            as_warp(numbers, wp.int32),
-            workspace(device),
-        )
-    return numbers[: boundary_loops.FLAGS], bounds, caps
+    return MeshTopology(pairing.neighbours, edges, cap_triangles(edges))

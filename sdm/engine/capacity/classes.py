@@ -32,10 +32,13 @@ SMALL, LARGEST = (1620, 4863, 20480, 81920), 1 << 20
 # Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
 # And of meshes that have more, for which it would cost others some sorts of as many.
-MANY_EDGES = 8 * MOST_BOUNDARY_EDGES - 1
+MANY_EDGES, LARGEST_ROOM = 8 * MOST_BOUNDARY_EDGES - 1, 32 * MOST_BOUNDARY_EDGES - 1
+ROOMS = MOST_EDGES, MANY_EDGES, LARGEST_ROOM
 # And of those with more edges than faces, so that the faces turned inside out are fewer caps than triangles between the
 # edges: one more, so that a recording is known by its room.
-BY_FACES = MOST_EDGES + 1, MANY_EDGES + 1
+BY_FACES = tuple(room + 1 for room in ROOMS)
+# A recording for many edges is made for meshes that have them: for which so many are too few.
+TOO_FEW: dict[int, int] = dict(zip(ROOMS[1:], ROOMS[:-1], strict=True))
 # Least room for boundary edges that is worth recordings of their own for meshes with few.
 LEAST_FEW = 32
 # Larger classes that may serve a mesh until its own is worth a recording.
@@ -90,7 +93,7 @@ class CapacityClass:
     def rooms(self, device: str) -> tuple[int, ...]:
         """Room for edges of the recordings for open meshes on such a device, from the least on."""
         few = self.few_edges(device)
-        return (few, MOST_EDGES, MANY_EDGES) if few else (MOST_EDGES, MANY_EDGES)
+        return (few, *ROOMS) if few else ROOMS
 
     def open_sizes(self, room: int) -> PairSizes:
         """Sizes of the structure of both, with room for so many boundary edges of the mesh."""

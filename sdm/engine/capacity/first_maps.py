@@ -17,11 +17,11 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.class_calls import Given, Told, class_call, class_key
-from sdm.engine.capacity.classes import BY_FACES, MANY_EDGES, MOST_EDGES, CapacityClass, larger_classes
+from sdm.engine.capacity.classes import BY_FACES, LARGEST_ROOM, TOO_FEW, CapacityClass, larger_classes
 from sdm.engine.capacity.ready_maps import Tried, looks_closed, note_ready
 from sdm.engine.capacity.remembered import finished, while_at_work
 from sdm.kernels.dense.plan import Decisions, memory_of
-from sdm.kernels.topology.boundary_loops import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.topology.boundary_flags import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 from sdm.runtime import graphs
 from sdm.runtime.torch_warp import warp_name
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 def has_room(numbers: guesses.Guess) -> bool:
     """True if the recordings of a class serve meshes with as many unmatched and boundary edges."""
-    return max(numbers) <= MANY_EDGES
+    return max(numbers) <= LARGEST_ROOM
 
 
 def class_map(
@@ -55,7 +55,7 @@ def class_map(
     count, total, device = vertices.shape[0], faces.shape[0], faces.device
     given: Given = vertices.contiguous(), faces.contiguous(), grid, count, total, device
     about = kind, decisions, given
-    edges = min(2 * count - total, MANY_EDGES)
+    edges = min(2 * count - total, LARGEST_ROOM)
 
     def attempt(room: int) -> tuple[T, Callable[[], int] | None] | list[int]:
         launched = partial(while_at_work, faces, count, make)
@@ -82,8 +82,7 @@ def class_map(
             return None
         edges = max(edges, more) if tested else more
     for room in _rooms(kind, device, total, edges, tested):
-        # A recording for many edges is made for meshes that have them.
-        if room <= tested or edges > room or (edges <= MOST_EDGES and room == MANY_EDGES):
+        if room <= tested or not TOO_FEW.get(room, -1) < edges <= room:
             continue
         found = attempt(room)
         if isinstance(found, tuple):

@@ -18,7 +18,7 @@ from sdm.engine.capacity.classes import BY_FACES
 from sdm.kernels.bvh.tree import PART_SIZE, coarser
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology import boundary_loops
-from sdm.kernels.topology.boundary_loops import ALL_EDGES, NUMBERS
+from sdm.kernels.topology.boundary_flags import ALL_EDGES, FLAGS, NUMBERS
 from sdm.kernels.topology.filler_faces import FACES
 from sdm.kernels.winding.boundary_term import gather_boundary, write_parts_of_faces
 from sdm.kernels.winding.cap_tree import build_caps
@@ -28,7 +28,7 @@ from sdm.runtime.torch_warp import as_warp, on_current_stream, repeated_row, wor
 from sdm.topology.cap_triangles import turned
 
 # Numbers behind the flags of the join that the host reads.
-TOLD = NUMBERS - boundary_loops.FLAGS
+TOLD = NUMBERS - FLAGS
 
 
 @lru_cache(maxsize=16)

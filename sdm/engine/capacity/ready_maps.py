@@ -19,9 +19,9 @@ from sdm.core.grid import IDENTITY, Grid
 from sdm.engine.capacity.class_calls import Told, class_key, fill_table, told_behind
 from sdm.engine.capacity.classes import (
     LARGEST,
-    MANY_EDGES,
-    MOST_EDGES,
+    LARGEST_ROOM,
     MOSTS,
+    TOO_FEW,
     CapacityClass,
     has_room_for,
     is_usual,
@@ -119,9 +119,9 @@ def ready_map(
     most, every, rooms, recordings = ready
     room = 0
     if not looks_closed(total, count):
-        edges = min(2 * count - total, MANY_EDGES)
+        edges = min(2 * count - total, LARGEST_ROOM)
         for room in rooms:
-            if edges <= room and not edges <= MOST_EDGES < room:
+            if TOO_FEW.get(room, -1) < edges <= room:
                 break
     recording = recordings.get(room)
     if recording is None or OPTIONS.get() is not USUAL:

@@ -15,7 +15,8 @@ from sdm.engine.maps import _queue_guessed_map
 from sdm.engine.ops import structure_slab
 from sdm.engine.plan_override import plan_override
 from sdm.errors import MeshError
-from sdm.topology import guesses
+from sdm.kernels.topology import boundary_loops
+from sdm.topology import device_joining, guesses
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import is_known
 from tests.helpers.same_bits import assert_same_bits
@@ -56,20 +57,20 @@ def test_too_many_triangles():
 
 @pytest.mark.parametrize("name", ["open hemisphere", "moebius strip", "random soup", "unmerged sphere", "three sheets"])
 def test_a_boundary_joined_on_the_device(monkeypatch, name):
-    """As a GPU does it, for few edges; whatever else there is goes the way of the host."""
+    """As a GPU does it."""
     case = load_case(name)
     vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
     expected, topology = build_first(vertices, faces.clone())
-    monkeypatch.setattr(guesses, "JOINING_DEVICES", ("cpu",))
+    monkeypatch.setattr(device_joining, "JOINING_DEVICES", ("cpu",))
     joined = []
-    plain = guesses.remember_joined
-    monkeypatch.setattr(guesses, "remember_joined", lambda *given: joined.append(1) or plain(*given))
+    plain = device_joining.remember_joined
+    monkeypatch.setattr(device_joining, "remember_joined", lambda *given: joined.append(1) or plain(*given))
     found, ours = build_first(vertices, faces)
-    assert bool(joined) == (name in ("open hemisphere", "moebius strip", "three sheets"))
+    assert joined
     assert found.sizes == expected.sizes
     assert torch.equal(ours.boundary, topology.boundary)
     # Caps of a soup are its faces, and loops that meet are cut otherwise.
-    if not joined or name == "open hemisphere":
+    if name in ("open hemisphere", "random soup"):
         assert torch.equal(ours.caps, topology.caps)
     grid = sdm.Grid([-1.1] * 3, [0.2] * 3, [12] * 3)
     for one, other in zip(structure_slab(found, grid, 0, 12), structure_slab(expected, grid, 0, 12), strict=True):
@@ -87,7 +88,7 @@ def loose(mesh):
 NEW_MESHES = {
     "closed": lambda: torus(900),
     "loops that meet": lambda: torn(torus(600), 0.3),
-    "more boundary edges than are joined on a device": lambda: torn(torus(5000), 0.3),
+    "many boundary edges": lambda: torn(torus(5000), 0.3),
     "closed, loose": lambda: loose(sphere(9)),
     "a hole, loose": lambda: loose((cube()[0], cube()[1][1:])),
     "sheets": lambda: sheets(9),
@@ -98,8 +99,10 @@ NEW_MESHES = {
 
 @pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
 @pytest.mark.parametrize("name", NEW_MESHES)
-def test_a_first_map_by_the_steps_of_a_gpu(monkeypatch, name):
-    monkeypatch.setattr(guesses, "JOINING_DEVICES", ("cpu",))
+@pytest.mark.parametrize("most_compared", [boundary_loops.MOST_COMPARED, 0])
+def test_a_first_map_by_the_steps_of_a_gpu(monkeypatch, name, most_compared):
+    monkeypatch.setattr(boundary_loops, "MOST_COMPARED", most_compared)
+    monkeypatch.setattr(device_joining, "JOINING_DEVICES", ("cpu",))
     monkeypatch.setattr(guesses, "last_open", type(guesses.last_open)())
     vertices, faces = (torch.from_numpy(array) for array in NEW_MESHES[name]())
     mesh = sdm.TriangleMesh(vertices.clone(), faces.clone())

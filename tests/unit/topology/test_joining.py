@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
+from unittest import mock
 
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm.topology.boundary_edges
 from sdm.bench.common.meshes import cube, load_case, sphere
-from sdm.topology import face_pairing, guesses
+from sdm.kernels.topology import boundary_flags, boundary_loops
+from sdm.runtime.torch_warp import as_warp, workspace
+from sdm.topology import face_pairing
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.cap_triangles import cap_triangles
+from sdm.topology.device_joining import queue_joining
 from sdm.topology.joining import join_on_device, join_on_host
 from tests.helpers import strategies
 
@@ -82,12 +87,17 @@ def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: t
     flags, unmatched, _ = face_pairing.queue_pairing(index, batch.shape[1])
 
     def joined(rows: int, edges: int) -> tuple[list[int], torch.Tensor, torch.Tensor]:
-        said, bounds, caps = guesses.queue_joining(unmatched, flags, batch, guesses.Guess(rows, edges))
+        said, bounds, caps = queue_joining(unmatched, flags, batch, rows, edges)
         return said.tolist(), bounds, caps
 
     count = len(expected)
     said, bounds, caps = joined(rows, count)
     assert torch.equal(bounds, expected)
+    for room in (False, True):
+        for found, other in zip(
+            *(_queued(batch, unmatched, flags, rows, count, room, most) for most in (rows, 0)), strict=True
+        ):
+            assert torch.equal(found, other)
     starts = Counter(expected[:, 0].tolist())
     assert said == [0, 0, 0, 0]
     if len(starts) == count > 0:
@@ -102,6 +112,32 @@ def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: t
     for other in ((rows + 1, count), (rows - 1, count), (rows, count + 1), (rows, max(count - 1, 0))):
         if other != (rows, count) and 0 < other[0] <= len(unmatched):
             assert any(joined(*other)[0])
+            # Those that sort say the same where they are wrong.
+            for room in (False, True):
+                compared, by_sorts = (
+                    _queued(batch, unmatched, flags, *other, room, most)[0] for most in (max(other), 0)
+                )
+                assert torch.equal(compared, by_sorts)
+
+
+def _queued(batch, unmatched, flags, rows, count, in_room, most) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Flags and numbers, edges and caps, by kernels that compare all with all up to so many edges, and sort more."""
+    spare = 5 if in_room else 0
+    said = torch.zeros(boundary_flags.NUMBERS, dtype=torch.int32)
+    edges = torch.zeros(count + spare, 2, dtype=torch.int32)
+    caps = torch.full((count + spare, 3), -1, dtype=torch.int32)
+    with mock.patch.object(boundary_loops, "MOST_COMPARED", most + 2 * spare if most else 0):
+        boundary_loops.join_edges(
+            as_warp(unmatched[: rows + spare], wp.int32),
+            as_warp(flags, wp.int32),
+            as_warp(batch, wp.vec3),
+            as_warp(edges, wp.int32),
+            as_warp(caps, wp.int32),
+            as_warp(said, wp.int32),
+            workspace(batch.device),
+            in_room=in_room,
+        )
+    return said, edges, caps
 
 
 def _loose(mesh: strategies.Arrays, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:

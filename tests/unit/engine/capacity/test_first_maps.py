@@ -12,7 +12,7 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
 from sdm.engine.capacity import first_maps
 from sdm.engine.capacity.class_calls import class_key
-from sdm.engine.capacity.classes import BY_FACES, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
+from sdm.engine.capacity.classes import BY_FACES, LARGEST_ROOM, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError
 from sdm.kernels.winding.rims import every_voxel
@@ -129,12 +129,12 @@ def test_without_a_class_for_open_meshes(went, monkeypatch):
 
 def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
     _recorded(monkeypatch, CLOSED, OPEN)
-    vertices, faces = torus(3000)
+    vertices, faces = torus(12_000)
     soup = torch.from_numpy(vertices[faces].reshape(-1, 3) * np.float32(1.0))
     soup[::7] += 0.01
     loose = torch.arange(len(soup), dtype=torch.int32).reshape(-1, 3)
     kind, _ = class_of(len(loose), len(soup), GRID, None)
-    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, MANY_EDGES))
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, LARGEST_ROOM))
     _map((soup, loose))
     assert went == [OPEN, "settle"]
     _map((soup, loose.clone()))

@@ -12,10 +12,10 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
 from sdm.engine.capacity import open_boundary
 from sdm.engine.capacity.class_calls import class_call
-from sdm.engine.capacity.classes import BY_FACES, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
+from sdm.engine.capacity.classes import BY_FACES, LARGEST_ROOM, LEAST_FEW, MANY_EDGES, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.topology.boundary_loops import FLAGS, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.topology.boundary_flags import FLAGS, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.kernels.topology.edge_table import MOST_ALIKE
 from sdm.kernels.winding.rims import every_voxel
 from sdm.topology.boundary_edges import boundary_edges
@@ -127,10 +127,25 @@ def test_faces_turned_inside_out_are_caps_too(name, turned):
     _same(mesh, _grid(mesh[0], turned), BY_FACES[int(turned)])
 
 
-def test_room_for_more_edges_than_faces_have():
+@pytest.mark.parametrize("room", [MANY_EDGES, LARGEST_ROOM])
+def test_room_for_more_edges_than_faces_have(room):
     mesh = MESHES["torn"]()
-    assert 3 * class_of(len(mesh[1]), len(mesh[0]), _grid(mesh[0]), None)[0].faces < MANY_EDGES
-    _same(mesh, _grid(mesh[0]), MANY_EDGES)
+    assert 3 * class_of(len(mesh[1]), len(mesh[0]), _grid(mesh[0]), None)[0].faces < room
+    _same(mesh, _grid(mesh[0]), room)
+
+
+def test_more_edges_than_are_compared_with_each_other():
+    mesh = torn(torus(14_000), 0.5)
+    assert _same(mesh, _grid(mesh[0]), LARGEST_ROOM)[-1] > MANY_EDGES
+
+
+@pytest.mark.parametrize("kind", ["all apart", "one is missing"])
+def test_triangles_that_share_no_vertices(kind):
+    """As in an STL file: many edges are left unmatched, few or none once vertices at one place are one."""
+    vertices, faces = torus(3000)
+    corners = vertices[faces[kind == "one is missing" :]].reshape(-1, 3)
+    mesh = corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    assert _same(mesh, _grid(mesh[0]), LARGEST_ROOM)[-1] == 3 * (kind == "one is missing")
 
 
 @pytest.mark.parametrize("seed", range(6))
