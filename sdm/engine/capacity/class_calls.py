@@ -37,7 +37,7 @@ from sdm.kernels.topology.edge_table import table_length
 from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import begin_crossings, slab_winding
 from sdm.runtime.graphs import TableCall, TableWork, Verify
-from sdm.runtime.graphs.branches import WINDING, Join, beside, fork, kernels_beside, nothing
+from sdm.runtime.graphs.branches import MOMENTS, WINDING, Join, beside, fork, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
@@ -242,10 +242,16 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
     mesh = _take_in(kind, device, table, 2)
     with beside(device) as join:
         found, _, neighbours = mesh.queue_pairing(kind, 0)
-    _queue_map(kind, mesh, neighbours, join, mesh.own, None)
-    with beside(device, TELLING, since=join) as told:
-        verify(found, 0, partial(_tell, mesh, neighbours, found[:0], found[:0], found))
-    told()
+    told: list[Join] = []
+
+    def tell_host() -> None:
+        # On a branch that closed meshes leave alone, as neither zeros nor cones wait for it.
+        with beside(device, MOMENTS, since=join) as joined:
+            verify(found, 0, partial(_tell, mesh, neighbours, found[:0], found[:0], found))
+        told.append(joined)
+
+    _queue_map(kind, mesh, neighbours, join, mesh.own, None, built=tell_host)
+    told[0]()
 
 
 def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
@@ -295,12 +301,13 @@ def _queue_map(
     boundary: OpenBoundary | None,
     begin_joining: Callable[[], tuple[Join, Join]] = lambda: (nothing, nothing),
     measured: Callable[[], None] = lambda: None,
+    built: Callable[[], None] = lambda: None,
 ) -> Join:
     """The map of a mesh, to the address in the table: its neighbours are there after `join`.
 
     Of what `begin_joining` gives, the first waits for its boundary edges, the second, which is given, for all of its
-    boundary. What everything waits for is queued first. `measured` queues what comes once voxels are measured, beside
-    the rest.
+    boundary. What everything waits for is queued first. `built` queues what comes once all is built, `measured` once
+    voxels are measured, beside the rest.
     """
     vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
@@ -333,6 +340,7 @@ def _queue_map(
         with kernels_beside(values, TELLING, since=begin) as begun:
             work.begin_pass(kind.plan, 0, is_zero=True)
         begun()
+        built()
         # For these the winding numbers alone wait.
         with kernels_beside(values, TELLING, since=begin) as zeroed:
             crossings = begin_crossings(winding, slab, target.values, empty, alone=True)
