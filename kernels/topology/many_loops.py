@@ -43,7 +43,7 @@ def _take_ends(
 
 @wp.func
 def _first_at(values: wp.array(dtype=wp.int32), count: int, value: int):
-    """How many of the first `count` sorted values are less than one."""
+    """The number of values less than one, among the first `count`, which are sorted."""
     low = int(0)
     high = int(count)
     while low < high:
