@@ -70,12 +70,15 @@ def watertight(
     import sdm.kernels.flood.flood_signs  # noqa: F401
     from sdm.cli.surfaces.closing import run, targets_of
     from sdm.cli.surfaces.closing_stages import Closing
+    from sdm.errors import SDMError
     from sdm.runtime.sharing.devices import devices_for
 
     options = Closing(
         resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, method=method, device=device
     )
     jobs, folder = targets_of(meshes, out, format)
+    if resume and not folder:
+        raise SDMError(f"--resume is for surfaces in a folder: {out} is one file, and is made again without it")
     if report is None and folder:
         report = out / "report.json"
     where = {"folder": out if folder else None, "devices": devices_for(device), "ray": ray}

@@ -83,7 +83,7 @@ def write_label_maps(
             made = label_map(mask, field.grid, smoothing=smooth)
         save(made, target)
         print_line(
-            f"{source.name}: class {value}, {int(mask.sum()):,} voxels, {field.grid.summary}, "
+            f"{source.name}: class {value}, {_voxels(int(mask.sum()))}, {field.grid.summary}, "
             f"{time.perf_counter() - begin:.2f} s on {device}, written to {target}"
         )
 
@@ -95,6 +95,10 @@ def _labels_of(field: SDM, source: Path) -> torch.Tensor:
     return values.int()
 
 
+def _voxels(count: int) -> str:
+    return "1 voxel" if count == 1 else f"{count:,} voxels"
+
+
 def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -> list[int]:
     there = [int(value) for value in np.unique(labels.numpy()) if value != 0]
     if classes is None:
@@ -103,7 +107,8 @@ def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -
         return there
     missing = [value for value in classes if value not in there and not (value == 0 and bool((labels == 0).any()))]
     if missing:
-        raise SDMError(f"{source} has no class {missing[0]}: there are {', '.join(map(str, there)) or 'none'}")
+        known = f"there are {', '.join(map(str, there))}" if there else "it holds nothing but 0"
+        raise SDMError(f"{source} has no class {missing[0]}: {known}")
     return list(dict.fromkeys(classes))
 
 

@@ -22,6 +22,8 @@ VALUES = (
     (re.compile(r"no type matching (\S+) could be instantiated from \[(.*)\]"), r"takes \1, not \2"),
 )
 PARSING = re.compile(r"Error parsing (\S+): (.*)")
+# What follows may be words without an option, too.
+SURPLUS = "Unrecognized options: "
 CHOICE = re.compile(r"invalid choice (.*) for argument '(.*)'\. Expected one of \((.*?),?\)")
 
 
@@ -56,6 +58,8 @@ def _in_plain_words(said: str) -> str:
         # tyro has them in no order, and among them that nothing is given.
         known = sorted(word.strip(" '") for word in chosen[3].split(","))
         return f"{chosen[2]} takes one of {', '.join(word for word in known if word != 'None')}, not {chosen[1]}"
+    if said.startswith(SURPLUS):
+        return _of_surplus(said.removeprefix(SURPLUS).split(", "))
     found = PARSING.fullmatch(said)
     if found is None:
         return said
@@ -64,6 +68,13 @@ def _in_plain_words(said: str) -> str:
         if pattern.search(why):
             return f"{option} {pattern.search(why).expand(words)}"  # type: ignore[union-attr]
     return f"{option}: {why}"
+
+
+def _of_surplus(words: Sequence[str]) -> str:
+    options = [word for word in words if word.startswith("-")]
+    if options:
+        return f"there is no option {' and no '.join(options)}"
+    return f"one argument too many: {words[0]}" if len(words) == 1 else f"arguments too many: {', '.join(words)}"
 
 
 def no_command(word: str, commands: Sequence[str]) -> str:

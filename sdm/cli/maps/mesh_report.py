@@ -63,4 +63,5 @@ def failures_table(entries: list[MeshEntry]) -> list[str]:
     width = min(WIDEST, max((len(printable(entry.mesh)) for entry in failed), default=0))
     lines = [f"{printable(entry.mesh):<{width}}  {entry.reason}" for entry in failed]
     said = ", ".join(f"{count:,} {state}" for state, count in counts.items() if count or state == "done")
-    return [*lines, f"{len(entries):,} meshes: {said}{f', {warned:,} with warnings' if warned else ''}"]
+    total = "1 mesh" if len(entries) == 1 else f"{len(entries):,} meshes"
+    return [*lines, f"{total}: {said}{f', {warned:,} with warnings' if warned else ''}"]

@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.band.band_slab import BandSlab
-from sdm.engine.band.block_distances import BandBlocks, measured_slab, refuse_too_many
+from sdm.engine.band.block_distances import BandBlocks, measured_slab
 from sdm.engine.band.inside_runs import gaps_inside
 from sdm.engine.band.listed_blocks import (
     MOST_BLOCKS,
@@ -29,7 +29,7 @@ from sdm.engine.band.listed_blocks import (
     reaches_beyond,
     room_for_all,
 )
-from sdm.engine.band.near_blocks import keys_near, rooms_of
+from sdm.engine.band.near_blocks import keys_near, refuse_too_many, rooms_of
 from sdm.errors import GridError
 from sdm.kernels.band.block_bits import BLOCKS
 from sdm.runtime.torch_warp import on_current_stream

@@ -10,30 +10,24 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK
-from sdm.core.device import SHARE_UNASKED, free_memory
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.listed_blocks import Listed, Room
-from sdm.errors import GridError
 from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, CHUNKS, COUNTS, KEPT, LOST, REGIONS, RUNS
 from sdm.kernels.band.block_lists import gather_blocks, keep_near, list_inside_gaps
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
 from sdm.kernels.band.query import query_blocks
 from sdm.kernels.dense.block.winners import BlockOutput
-from sdm.kernels.dense.plan import memory_of
 from sdm.kernels.dense.query import Surface
 from sdm.kernels.launch import set_array
 from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.host_copy import numbers_of
-from sdm.runtime.torch_warp import as_warp, warp_name, workspace
+from sdm.runtime.torch_warp import as_warp, workspace
 
 # Branch of a graph on which blocks are listed, and winding numbers found at their voxels.
 LISTS = 1
-BLOCK_BYTES = 4 * BLOCK**3
 # Blocks that are copied, with room for all of a list, before it is known how many are kept.
 MOST_EARLY = 1 << 16
-# Bytes that are always there; asking takes time.
-SMALL = 1 << 26
 
 
 class Measured(NamedTuple):
@@ -236,19 +230,3 @@ def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
         values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=band.structure.device)
         found = BandBlocks(listed.blocks, values, 0, listed.blocks.new_empty((0, 4)))
     return found._replace(runs=found.runs if gaps else None, beyond=band.beyond)
-
-
-def refuse_too_many(blocks: int, device: torch.device) -> None:
-    """Refuse a band that does not fit, before it is measured.
-
-    Raises:
-        GridError: More blocks than there is memory for.
-    """
-    # What is measured, and what is kept of it.
-    needed, advice = 2 * BLOCK_BYTES * blocks, "choose larger voxels, or a smaller half_width"
-    small = (memory_of(warp_name(device)) or 0) // SHARE_UNASKED
-    if needed > max(SMALL, small) and needed > (free := free_memory(device)):
-        raise GridError(
-            f"a narrow band of {blocks:,} blocks needs {needed / 2**30:.1f} GiB, but {device} has "
-            f"{free / 2**30:.1f} GiB free: {advice}"
-        )

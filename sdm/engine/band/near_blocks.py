@@ -11,18 +11,25 @@ from jaxtyping import Int32, Int64
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, keys_of
+from sdm.core.device import SHARE_UNASKED, free_memory
 from sdm.core.grid import Grid
+from sdm.errors import GridError
 from sdm.kernels.band.block_lists import pack_keys
 from sdm.kernels.band.near_triangles import MOST_LARGE, mark_triangles
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes, mark_boxes
+from sdm.kernels.dense.plan import memory_of
 from sdm.kernels.geometry.block_table import BITS
-from sdm.runtime.torch_warp import as_warp
+from sdm.runtime.torch_warp import as_warp, warp_name
 
 # The largest boxes are so large that there are no more of them. A GPU looks at many in the time that a list takes.
 MOST_FIRST = {"cpu": 512, "cuda": 1 << 15}
 # Boxes that there is room for where lengths of lists are not read in between.
 MOST_BOXES = 1 << 20
 LISTED = (0, 0, 0)
+# Of a block's values.
+BLOCK_BYTES = 4 * BLOCK**3
+# Bytes that are always there; asking takes time.
+SMALL = 1 << 26
 # Devices where each triangle marks its blocks, if the grid is not turned. On a CPU descents of the tree take less.
 BY_TRIANGLES = ("cuda",)
 
@@ -82,6 +89,9 @@ def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.devi
     """Keys, ascending, of the blocks of a grid with a voxel that may be within `reach` of a mesh's triangles.
 
     For any number of them: to be called on the current stream; waits for a GPU at each level.
+
+    Raises:
+        GridError: A level has more boxes than there is memory for blocks.
     """
     levels = levels_of(grid.shape, device)
     counts = torch.zeros((len(levels) + 1, STRIDE), dtype=torch.int32, device=device)
@@ -92,7 +102,26 @@ def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.devi
         lists = as_warp(boxes, wp.vec3i), as_warp(found, wp.vec3i)
         find_boxes(tree, slab, reach, size, level, known, *lists, as_warp(counts.view(-1), wp.int32))
         boxes, known = found[: int(counts[level + 1, LENGTH])], LISTED
+        # Of a surface there are more of them at each level than at the one before.
+        refuse_too_many(len(boxes), device, or_more=size > levels[-1])
     return sorted_keys(boxes, blocks_along(grid.shape))
+
+
+def refuse_too_many(blocks: int, device: torch.device, *, or_more: bool = False) -> None:
+    """Refuse a band that does not fit, before it is measured.
+
+    Raises:
+        GridError: More blocks than there is memory for.
+    """
+    # What is measured, and what is kept of it.
+    needed, advice = 2 * BLOCK_BYTES * blocks, "choose larger voxels, or a smaller half_width"
+    small = (memory_of(warp_name(device)) or 0) // SHARE_UNASKED
+    if needed > max(SMALL, small) and needed > (free := free_memory(device)):
+        count = f"{blocks:,} blocks{' or more' if or_more else ''}"
+        raise GridError(
+            f"a narrow band of {count} needs {needed / 2**30:.1f} GiB, but {device} has "
+            f"{free / 2**30:.1f} GiB free: {advice}"
+        )
 
 
 def sorted_keys(boxes: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int64[Tensor, " n"]:

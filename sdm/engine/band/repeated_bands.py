@@ -22,7 +22,6 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, fill_surface, layout
 from sdm.engine.band.band_slab import BandSlab, plan_for
 from sdm.engine.band.block_distances import (
-    BLOCK_BYTES,
     LISTS,
     BandBlocks,
     Layers,
@@ -32,7 +31,7 @@ from sdm.engine.band.block_distances import (
     taken,
 )
 from sdm.engine.band.listed_blocks import Listed, Room, fits, is_beyond, queue_list
-from sdm.engine.band.near_blocks import marks_by_triangles, rooms_of
+from sdm.engine.band.near_blocks import BLOCK_BYTES, marks_by_triangles, rooms_of
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.repeated_faces import CROWDED
 from sdm.engine.thick_slices import Slices

@@ -137,7 +137,9 @@ CASES = [
     ("train sdmnn -o new --budget-s nan", "a budget of nan seconds"),
     ("train sdmnn -o new --start nowhere.safetensors", "no such file"),
     ("train sdmnn -o new --start cut.safetensors", "is not a surrogate that sdm wrote"),
-    ("train sdmnn -o new --open-meshes keep", "Unrecognized options: --open-meshes, keep; see sdm train --help"),
+    ("train sdmnn -o new --open-meshes keep", "there is no option --open-meshes; see sdm train --help"),
+    ("inspect ball.ply other.ply", "one argument too many: other.ply; see sdm inspect --help"),
+    ("inspect ball.ply --jsn", "there is no option --jsn; perhaps --json is meant; see sdm inspect --help"),
     ("train segmentation --data folder.ply -o new", "holds no cases to train"),
     # Images.
     ("fit empty.nii.gz -o new.json", "is not a NIfTI image"),

@@ -59,6 +59,7 @@ def place(tmp_path, monkeypatch) -> Path:
         ("split meshes --twins -1", "twins are -1"),
         ("watertight meshes -o closed --resolution 3", "too low for a surface"),
         ("watertight meshes/0.stl -o closed.stl --offset -1", "offset is -1.0"),
+        ("watertight meshes/0.stl -o closed.stl --resume", "closed.stl is one file"),
         ("watertight meshes/0.stl -o closed.stl --hidden keep --hole-size 1", "--hidden keep"),
         ("encode meshes/0.stl -m cochlea -o c.npz --steps 0", "0 steps"),
         ("view meshes/0.stl --out x.bmp", "does not end in .png"),

@@ -9,7 +9,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.engine.band import band_slabs, block_distances
+from sdm.engine.band import band_slabs, near_blocks
 from sdm.errors import GridError, SDMError
 
 
@@ -160,10 +160,18 @@ def test_more_blocks_than_one_slab_may_have(case, device, monkeypatch):
 
 
 def test_a_band_that_does_not_fit(monkeypatch):
-    monkeypatch.setattr(block_distances, "SMALL", 0)
-    monkeypatch.setattr(block_distances, "free_memory", lambda _: 1 << 10)
+    monkeypatch.setattr(near_blocks, "SMALL", 0)
+    monkeypatch.setattr(near_blocks, "free_memory", lambda _: 1 << 10)
     with pytest.raises(GridError, match=r"needs 0\.\d GiB, but cpu has 0\.0 GiB free: choose larger voxels"):
         sdm.narrow_band(mesh(), 0.05, device="cpu")
+
+
+def test_a_band_that_does_not_fit_by_far_is_refused_before_its_blocks_are_listed(monkeypatch):
+    """A million voxels along an edge were listed for hours."""
+    monkeypatch.setattr(near_blocks, "SMALL", 0)
+    monkeypatch.setattr(near_blocks, "free_memory", lambda _: 1 << 22)
+    with pytest.raises(GridError, match=r"of [\d,]+ blocks or more needs"):
+        sdm.narrow_band(mesh(), resolution=1_000_000, device="cpu")
 
 
 def test_vertices_that_ask_for_gradients():
