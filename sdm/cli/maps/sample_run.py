@@ -34,6 +34,8 @@ from sdm.sampling.sample_folder import FolderSampling
 REPORT = "report.json"
 # About what one process of an H100's host takes.
 SECONDS_OF_A_SAMPLE = 2e-8
+# Layouts with lists of a name a line.
+BY_LINES = ("occupancy", "webdataset")
 LAWS = {"paper": PAPER, "released": RELEASED}
 
 
@@ -132,6 +134,8 @@ def run(
         raise SDMError(f"--dataset {dataset} is no name of a folder: give one without {os.sep}")
     roots = [path for path in meshes if path.is_dir()]
     sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
+    if layout_name in BY_LINES and (odd := next((own.path for own in instances if "\n" in own.path), None)):
+        raise FormatError(f"the layout {layout_name} lists meshes line by line, and {odd!r} has two lines: rename it")
     named = dataset or (roots[0].resolve().name if roots else "meshes")
     layout = layout_called(layout_name, named)
     recipe, where = options.recipe(layout_name, layout), choose_device(device)

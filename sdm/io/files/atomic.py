@@ -162,8 +162,14 @@ def _flush(path: Path) -> None:
 def _take_place(part: Path, target: Path) -> None:
     # A link that leads nowhere is in the way of a folder too.
     if not (part.is_dir() and (target.exists() or target.is_symlink())):
-        part.replace(target)
-        return
+        try:
+            part.replace(target)
+        except OSError:
+            # Another process may have put a folder there in the meantime.
+            if not (part.is_dir() and target.is_dir()):
+                raise
+        else:
+            return
     if exchange(part, target):
         # What `part` names now is the old one, which goes with it.
         return

@@ -384,3 +384,15 @@ def test_webdataset_leaves_out_a_mesh_whose_name_is_no_text(shapes, tmp_path, ca
         assert run(place, "-o", tmp_path / "d", "--layout", "webdataset", *more) == 2
         assert "1 of 2 meshes failed" in capsys.readouterr().err
     assert (tmp_path / "d/samples-000000.left-out.lst").read_bytes() == b"latin\xe4\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such names there")
+@pytest.mark.parametrize("layout", ["occupancy", "webdataset"])
+def test_a_name_of_two_lines_is_refused_by_lists_of_lines(layout, shapes, tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    shutil.copy(shapes / "02691156/aa/models/model_normalized.obj", tmp_path / "in" / "new\nline.obj")
+    assert run(tmp_path / "in", "-o", tmp_path / "d", "--layout", layout) == 2
+    said = f"sdm: the layout {layout} lists meshes line by line, and 'new\\nline' has two lines: rename it\n"
+    assert capsys.readouterr().err == said
+    assert not (tmp_path / "d").exists()
+    assert run(tmp_path / "in", "-o", tmp_path / "d") == 0

@@ -289,3 +289,13 @@ def test_a_full_disk_is_told_with_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match=rf"No space left on device: '{tmp_path}/map'"):
         put(tmp_path / "map", b"content")
+
+
+def test_a_folder_that_another_process_puts_there_meanwhile_is_replaced(tmp_path, monkeypatch):
+    target, exists = tmp_path / "map.zarr", Path.exists
+    save(FIELD, target)
+    monkeypatch.setattr(Path, "exists", lambda self, **how: self != target and exists(self, **how))
+    save(FIELD, target)
+    monkeypatch.undo()
+    assert [path.name for path in tmp_path.iterdir()] == ["map.zarr"]
+    assert torch.equal(load(target).values, FIELD.values)
