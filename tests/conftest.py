@@ -27,6 +27,8 @@ from tests.helpers import array_types
 ROOT = Path(__file__).resolve().parents[1]
 array_types.install(ROOT)
 
+from tests.helpers.compiling import first_compile
+
 # Compiling a kernel counts towards the first example's time, so examples have no deadline of their own.
 hypothesis.settings.register_profile("local", deadline=None, print_blob=True)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
@@ -40,7 +42,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtestloop() -> None:
+def pytest_runtestloop(session: pytest.Session) -> None:
+    session.config.stash[first_compile.AT_COLLECTION] = first_compile.loaded()
     gc.freeze()
     # As for the command line: seldom. Tests that ask what is left collect it themselves.
     gc.set_threshold(10_000, 10, 10)
@@ -71,8 +74,6 @@ def no_notice_of_compiling() -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def kernels_compiled_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The processes of a whole run share out what an empty cache lacks."""
-    from tests.helpers.compiling import first_compile
-
     if "PYTEST_XDIST_WORKER" in os.environ and len(request.session.items) >= first_compile.MANY_TESTS:
         # Of a run's folder each process has a part.
         shared = tmp_path_factory.getbasetemp().parent / "compiles"

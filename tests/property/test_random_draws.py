@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 
 from sdm.bench.segmentation.juhl_shapes import Shape, ShapeBatches
+from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf.infer.scan import Scan
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.samples import ShapeSet, surface_points
@@ -20,7 +22,7 @@ from sdm.deepsdf.train.settings import Settings
 from sdm.fit.model.exact import ExactBackend
 from sdm.fit.study.simulate import random_state
 from sdm.segmentation.data.augment import draw
-from sdm.shapes import Cochlea, Cuboid, Cylinder, Ellipsoid, GeometricShapes, MeshFolder, Rhomboid
+from sdm.shapes import Cochlea, Cuboid, Cylinder, Ellipsoid, Family, GeometricShapes, MeshFolder, Rhomboid
 from sdm.stream import as_sampler
 from sdm.surrogate.train.map_buffer import Replay
 
@@ -30,32 +32,43 @@ SEEDS = (0, 1, 2, -1, 999_983, 1_000_003, 2**32, 2**63, 2**64, 2**64 + 1)
 STEPS = (0, 1, 2, 4099, 7919, 999_983, 1_000_003)
 ROWS = (0, 1, 2, 4099)
 NUMBERS = (0, 1, 2, 1_000_003, 2**32, 2**40)
-MESH = Ellipsoid(triangles=300).mesh([0.5, 0.4, 0.3, 0.1, 0.2, 0.3])
-FAMILIES = {
-    family.name: family
-    for family in (
-        Cochlea(500),
-        Cuboid(triangles=12),
-        Rhomboid(triangles=12),
-        Ellipsoid(triangles=12),
-        Cylinder(triangles=12),
-        GeometricShapes(triangles=12),
-        MeshFolder([MESH]),
-    )
+FAMILIES: dict[str, Callable[[], Family]] = {
+    "cochlea": lambda: Cochlea(500),
+    "cuboid": lambda: Cuboid(triangles=12),
+    "rhomboid": lambda: Rhomboid(triangles=12),
+    "ellipsoid": lambda: Ellipsoid(triangles=12),
+    "cylinder": lambda: Cylinder(triangles=12),
+    "geometric-shapes": lambda: GeometricShapes(triangles=12),
+    "mesh-folder": lambda: MeshFolder([mesh()]),
 }
 SAMPLERS = ("uniform", "sobol", "chebyshev")
-SHAPES = ShapeSet([MESH, MESH], "cpu")
 SMALL: dict[str, Any] = {"width": 16, "layers": 5, "global_size": 8}
 
 
+# Made when a test asks, and not as tests are collected: every process collects all, and would compile their kernels.
+@cache
+def mesh() -> TriangleMesh:
+    return Ellipsoid(triangles=300).mesh([0.5, 0.4, 0.3, 0.1, 0.2, 0.3])
+
+
+@cache
+def shapes() -> ShapeSet:
+    return ShapeSet([mesh(), mesh()], "cpu")
+
+
+@cache
+def family_of(name: str) -> Family:
+    return FAMILIES[name]()
+
+
 def sample(seed: int, family: str, sampler: str, number: int) -> Tensor:
-    own = FAMILIES[family]
+    own = family_of(family)
     return own.to_unit(as_sampler(sampler).theta(own, seed, torch.tensor([number])))[0, :4]
 
 
 def static_order(seed: int, family: str, number: int) -> Tensor:
     index = torch.arange(625 * number, 625 * number + 625)
-    return as_sampler("grid:5")._places(FAMILIES[family], 625, seed, index)  # type: ignore[attr-defined]
+    return as_sampler("grid:5")._places(family_of(family), 625, seed, index)  # type: ignore[attr-defined]
 
 
 def patch(seed: int, step: int, row: int) -> list[float]:
@@ -87,7 +100,7 @@ def weights(seed: int) -> Tensor:
 
 
 def scan(seed: int, step: int) -> Tensor:
-    return Scan(surface_points(MESH, 10_000)[0], count=64, seed=seed)(step).points
+    return Scan(surface_points(mesh(), 10_000)[0], count=64, seed=seed)(step).points
 
 
 STEP, FAMILY, NUMBER = {"step": STEPS}, {"family": tuple(FAMILIES)}, {"number": NUMBERS}
@@ -102,13 +115,13 @@ THINGS: dict[str, tuple[Callable[..., Any], dict[str, tuple[Any, ...]], bool]] =
     "codes of DeepSDF": (lambda seed: AutoDecoder(Settings(seed=seed, **SMALL), 8).codes, {}, True),
     "order of DeepSDF": (lambda seed, step: Batches(64, 64, seed)[step], STEP, False),
     "samples of DeepSDF": (
-        lambda seed, step, shape, points: SHAPES.sample(torch.tensor([shape]), points, seed=seed, step=step).points,
+        lambda seed, step, shape, points: shapes().sample(torch.tensor([shape]), points, seed=seed, step=step).points,
         {**STEP, "shape": (0, 1), "points": (8, 16)},
         True,
     ),
-    "points of a surface": (lambda seed: surface_points(MESH, 32, seed=seed)[0], {}, True),
+    "points of a surface": (lambda seed: surface_points(mesh(), 32, seed=seed)[0], {}, True),
     "points of a scan": (scan, STEP, False),
-    "state to fit": (lambda seed: random_state(ExactBackend(FAMILIES["cochlea"], "cpu"), seed).theta, {}, True),
+    "state to fit": (lambda seed: random_state(ExactBackend(family_of("cochlea"), "cpu"), seed).theta, {}, True),
     "volumes of the study of shapes": (volumes, STEP, False),
 }  # fmt: skip
 

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sdm.core.grid import Grid
 from sdm.shapes import Cuboid
 from sdm.stream import SDMStream
 
 FAMILY = Cuboid(triangles=12)
-GRID = FAMILY.grid(3)
 SAMPLERS = ("uniform", "sobol", "grid:2", "grid:2:ordered")
 
 
+@cache
+def grid() -> Grid:
+    return FAMILY.grid(3)
+
+
 def stream(batch_size, rank, world, sampler="uniform"):
-    return SDMStream(FAMILY, GRID, batch_size, 9, rank, world, device="cpu", sampler=sampler)
+    return SDMStream(FAMILY, grid(), batch_size, 9, rank, world, device="cpu", sampler=sampler)
 
 
 @settings(max_examples=30)

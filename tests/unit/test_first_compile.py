@@ -40,3 +40,8 @@ def test_modules_are_those_of_the_package():
     names = [module.name for module in first_compile._modules()]
     assert "sdm.kernels.dense.stage5_select" in names
     assert not any(name.startswith(("tests.", "warp.")) for name in names)
+
+
+def test_no_kernel_is_loaded_as_tests_are_collected(request):
+    """Each process collects all tests, and would compile what they launch meanwhile."""
+    assert request.config.stash[first_compile.AT_COLLECTION] == []

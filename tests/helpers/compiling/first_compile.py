@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 import warp as wp
 from warp._src import context
 
@@ -22,6 +23,8 @@ MANY_TESTS = 1500
 ENOUGH = 20
 # What no test launches on a CPU.
 NOT_ON_CPU = "sdm.kernels.nanovdb"
+# Modules that a process has loaded as it begins with the first test.
+AT_COLLECTION = pytest.StashKey[list[str]]()
 
 
 def compile_missing(shared: Path) -> None:
@@ -33,6 +36,11 @@ def compile_missing(shared: Path) -> None:
     for module in _modules():
         if claim(shared / module.name):
             module.load(wp.get_device("cpu"), 1)
+
+
+def loaded() -> list[str]:
+    """Names of the modules that this process has loaded."""
+    return sorted(module.name for module in context.user_modules.values() if module.execs)
 
 
 def _modules() -> Iterator[Any]:

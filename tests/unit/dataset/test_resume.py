@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ import torch
 import zarr
 
 from sdm.core.demo_mesh import demo_mesh
+from sdm.core.grid import Grid
 from sdm.dataset import SDMDataset, damaged, generate, layout, shard_stage, shard_writer, verify
 from sdm.dataset.manifest import read_manifest
 from sdm.dataset.repair import mend_arrays
@@ -29,12 +31,16 @@ from sdm.shapes import Cochlea, MeshFolder
 from tests.helpers import generate_command
 
 FAMILY = Cochlea(600)
-GRID = FAMILY.grid(10)
 COUNT = 11
 
 
+@cache
+def grid() -> Grid:
+    return FAMILY.grid(10)
+
+
 def write(path, **options):
-    return generate(FAMILY, GRID, options.pop("count", COUNT), path, **{"device": "cpu", "shard": 3, **options})
+    return generate(FAMILY, grid(), options.pop("count", COUNT), path, **{"device": "cpu", "shard": 3, **options})
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -256,7 +262,7 @@ def test_another_recipe_is_not_mixed_in(whole, copy):
         with pytest.raises(FormatError, match=message):
             write(copy, resume=True, **options)
     with pytest.raises(FormatError, match="fingerprint"):
-        generate(Cochlea(900), GRID, COUNT, copy, device="cpu", resume=True)
+        generate(Cochlea(900), grid(), COUNT, copy, device="cpu", resume=True)
     assert contents(layout.part_of(copy)) == before
     write(copy, resume=True)
     assert contents(copy) == contents(whole)

@@ -35,18 +35,18 @@ def test_the_factor_in_front_may_be_differentiated():
 
 
 GRID = sdm.Grid((0, 0, 0), (1, 1, 1), (2, 3, 4))
-INDEX = sdm.MeshIndex(sdm.TriangleMesh(*cube()), "cpu")
+MESH = sdm.TriangleMesh(*cube())
 OF_POINTS = {
-    "distance": lambda at: sdm.signed_distance(INDEX.mesh, at, device="cpu"),
-    "closest": lambda at: sdm.signed_distance(INDEX.mesh, at, return_closest=True, device="cpu")[0],
-    "index": INDEX.signed_distance,
-    "winding number": INDEX.winding_number,
+    "distance": lambda at: sdm.signed_distance(MESH, at, device="cpu"),
+    "closest": lambda at: sdm.signed_distance(MESH, at, return_closest=True, device="cpu")[0],
+    "index": lambda at: sdm.MeshIndex(MESH, "cpu").signed_distance(at),
+    "winding number": lambda at: sdm.MeshIndex(MESH, "cpu").winding_number(at),
 }
 OF_VERTICES = {
     "distance": lambda at: sdm.signed_distance(sdm.TriangleMesh(at, cube()[1]), [[3.0, 2.0, 0.0]], device="cpu"),
     "map": lambda at: sdm.signed_distance_map(sdm.TriangleMesh(at, cube()[1]), GRID, device="cpu").values,
     "index": lambda at: sdm.MeshIndex(sdm.TriangleMesh(at, cube()[1]), "cpu"),
-    "update": lambda at: sdm.MeshIndex(INDEX.mesh, "cpu").update(at),
+    "update": lambda at: sdm.MeshIndex(MESH, "cpu").update(at),
     "maps": lambda at: sdm.signed_distance_maps(at[None], cube()[1], GRID, device="cpu"),
 }
 
