@@ -37,10 +37,10 @@ def test_the_factor_in_front_may_be_differentiated():
 GRID = sdm.Grid((0, 0, 0), (1, 1, 1), (2, 3, 4))
 MESH = sdm.TriangleMesh(*cube())
 OF_POINTS = {
-    "distance": lambda at: sdm.signed_distance(MESH, at, device="cpu"),
-    "closest": lambda at: sdm.signed_distance(MESH, at, return_closest=True, device="cpu")[0],
-    "index": lambda at: sdm.MeshIndex(MESH, "cpu").signed_distance(at),
-    "winding number": lambda at: sdm.MeshIndex(MESH, "cpu").winding_number(at),
+    "distance": lambda _, at: sdm.signed_distance(MESH, at, device="cpu"),
+    "closest": lambda _, at: sdm.signed_distance(MESH, at, return_closest=True, device="cpu")[0],
+    "index": lambda index, at: index.signed_distance(at),
+    "winding number": lambda index, at: index.winding_number(at),
 }
 OF_VERTICES = {
     "distance": lambda at: sdm.signed_distance(sdm.TriangleMesh(at, cube()[1]), [[3.0, 2.0, 0.0]], device="cpu"),
@@ -56,8 +56,9 @@ OF_VERTICES = {
 @pytest.mark.parametrize("name", OF_POINTS)
 def test_forward_mode_for_points(name):
     at = torch.tensor([[3.0, 2.0, 0.0]])
+    index = sdm.MeshIndex(MESH, "cpu")
     with pytest.raises(NotImplementedError, match="reverse mode"):
-        torch.func.jvp(OF_POINTS[name], (at,), (at,))
+        torch.func.jvp(lambda at: OF_POINTS[name](index, at), (at,), (at,))
 
 
 # Torch itself warns of what torch deprecates.
