@@ -2,9 +2,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 
 import nibabel as nib
 import numpy as np
@@ -17,6 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.io import FORMATS, load, load_mesh, save
+from tests.helpers.forked import Forked
 
 BALL = trimesh.creation.icosphere(1)
 AT = np.array([-40, -30, 50])
@@ -278,31 +276,16 @@ def test_resume_makes_a_map_again_that_is_of_something_else(ending, folder, tmp_
     assert "is there already" in capsys.readouterr().out
 
 
-# A shell that runs these tests in the background makes its children ignore interrupts.
-CHILD = """
-import signal, sys
-from sdm.cli import main
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main())
-"""
-
-
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
 def test_a_run_that_is_stopped_leaves_no_broken_map(number, code, tmp_path):
     trimesh.creation.icosphere(5).export(tmp_path / "ball.ply")
     words = ["compute", str(tmp_path / "ball.ply"), "-o", str(tmp_path / "map.zarr"), "--resolution", "400"]
-    child = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", CHILD, *words, "--device", "cpu"], stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 90
-    while not list(tmp_path.glob(".map.zarr.*.part/zarr.json")):
-        assert time.monotonic() < deadline
-        assert child.poll() is None
-        time.sleep(0.01)
+    said = tmp_path / "said.txt"
+    child = Forked(lambda: main([*words, "--device", "cpu"]), said)
+    child.wait_for(lambda: list(tmp_path.glob(".map.zarr.*.part/zarr.json")))
     os.kill(child.pid, number)
-    said = child.communicate(timeout=90)[1]
-    assert child.returncode == code
-    assert "Traceback" not in said
+    assert child.wait() == code
+    assert "Traceback" not in said.read_text()
     assert not (tmp_path / "map.zarr").exists()
-    left = [path.name for path in tmp_path.iterdir() if path.name != "ball.ply"]
+    left = [path.name for path in tmp_path.iterdir() if path.name not in ("ball.ply", "said.txt")]
     assert len(left) == (0 if number == signal.SIGINT else 1)

@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,41 +17,25 @@ from sdm.errors import FormatError
 from sdm.io import FORMATS, load, save
 from sdm.io.files import atomic, rename_exchange
 from sdm.io.files.atomic import LEFTOVER, put, replacing
+from tests.helpers.forked import Forked
 
 GRID = Grid((0, 0, 0), (1, 1, 1), (6, 5, 4))
 FIELD = SDM(torch.arange(120, dtype=torch.float32).reshape(6, 5, 4), GRID, 0)
 ENDINGS = list(FORMATS)
 
 
-CHILD = """
-import os, signal, sys
-import torch
-from sdm.core.signed_distance_map import SDM
-from sdm.core.grid import Grid
-from sdm.io.maps import formats
-from sdm.io.maps import save_and_load as maps
-
-def half(field, path, made_from):
+def half(field, path: Path, made_from) -> None:
+    """A writer that is killed in the middle."""
     if path.name.startswith(".map.zarr"):
         path.mkdir()
         path = path / "zarr.json"
     path.write_bytes(b"half")
     os.kill(os.getpid(), signal.SIGKILL)
 
-def save(target, ending):
-    chosen = formats.FORMATS[ending]
-    setattr(chosen.module, chosen.writer, half)
-    grid = Grid((0, 0, 0), (1, 1, 1), (6, 5, 4))
-    maps.save(SDM(torch.zeros(grid.shape), grid), target)
 
-for folder in sys.argv[1:]:
-    for ending in formats.FORMATS:
-        child = os.fork()
-        if child == 0:
-            save(f"{folder}/map.{ending}", ending)
-            os._exit(0)
-        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
-"""
+def save_half(path: Path, ending: str) -> None:
+    setattr(FORMATS[ending].module, FORMATS[ending].writer, half)
+    save(SDM(torch.zeros(GRID.shape), GRID), path)
 
 
 def test_a_killed_write_leaves_nothing_under_the_final_name(tmp_path):
@@ -60,7 +44,10 @@ def test_a_killed_write_leaves_nothing_under_the_final_name(tmp_path):
     old.mkdir()
     for ending in ENDINGS:
         save(FIELD, old / f"map.{ending}")
-    subprocess.run([sys.executable, "-W", "ignore", "-c", CHILD, str(new), str(old)], check=True)
+    for folder in (new, old):
+        for ending in ENDINGS:
+            child = Forked(partial(save_half, folder / f"map.{ending}", ending))
+            assert child.wait() == -signal.SIGKILL
     for folder in (new, old):
         left = [path for path in folder.iterdir() if path.name.endswith(LEFTOVER)]
         assert len(left) == len(ENDINGS)
@@ -75,29 +62,14 @@ def test_a_killed_write_leaves_nothing_under_the_final_name(tmp_path):
             assert load(path).grid == GRID
 
 
-SLOW = """
-import sys
-import torch
-from sdm.core.signed_distance_map import SDM
-from sdm.core.grid import Grid
-from sdm.io import save
-
-grid = Grid((0, 0, 0), (1, 1, 1), (256, 256, 256))
-save(SDM(torch.rand(grid.shape), grid), sys.argv[1])
-"""
-
-
 @pytest.mark.parametrize("ending", ["nii.gz"])
 def test_a_real_write_killed_at_any_moment(ending, tmp_path):
     path = tmp_path / f"map.{ending}"
-    child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", SLOW, str(path)])
-    deadline = time.monotonic() + 60
+    grid = Grid((0, 0, 0), (1, 1, 1), (256, 256, 256))
+    child = Forked(lambda: save(SDM(torch.rand(grid.shape), grid), path))
     # The probe that asks whether the folder can be written is empty: wait for bytes.
-    while not any(_size(part) > 0 for part in tmp_path.glob(f".*{LEFTOVER}")):
-        assert time.monotonic() < deadline
-        assert child.poll() is None
-        time.sleep(0.002)
-    child.kill()
+    child.wait_for(lambda: any(_size(part) > 0 for part in tmp_path.glob(f".*{LEFTOVER}")))
+    os.kill(child.pid, signal.SIGKILL)
     assert child.wait() == -signal.SIGKILL
     assert not path.exists()
     assert len(list(tmp_path.glob(f".map.{ending}.*{LEFTOVER}"))) == 1

@@ -3,8 +3,6 @@ from __future__ import annotations
 import gc
 import os
 import signal
-import subprocess
-import sys
 import weakref
 
 import numpy as np
@@ -17,6 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.mesh_index import MeshIndex
 from sdm.io import FORMATS, grid_like, load, write_streamed
 from sdm.io.maps import zarr as zarr_io
+from tests.helpers.forked import Forked
 
 BALL = trimesh.creation.icosphere(1)
 GRID = Grid((-1.2, -1.3, -1.4), (0.31, 0.33, 0.37), (9, 8, 7))
@@ -102,16 +101,9 @@ def test_slabs_are_whole_chunks_within_their_bytes(shape):
     assert layers <= zarr_io.CHUNK or layers % zarr_io.CHUNK == 0
 
 
-CHILD = """
-import os, signal, sys
-import torch
-from sdm.core.grid import Grid
-from sdm.io import write_streamed
-from sdm.io.maps import zarr
+class Killed:
+    """An index whose process is killed at the fifth slab."""
 
-zarr.SLAB_BYTES = 1000
-
-class Index:
     closed = True
     mesh = None
     device = torch.device("cpu")
@@ -122,14 +114,15 @@ class Index:
                 os.kill(os.getpid(), signal.SIGKILL)
             yield i, i + 1, torch.zeros(1, *grid.shape[1:])
 
-write_streamed(Index(), Grid((0, 0, 0), (1, 1, 1), (20, 20, 20)), sys.argv[1])
-"""
+
+def streamed_until_killed(path) -> None:
+    zarr_io.SLAB_BYTES = 1000
+    write_streamed(Killed(), Grid((0, 0, 0), (1, 1, 1), (20, 20, 20)), path)
 
 
 def test_a_stream_that_is_killed_leaves_no_map(tmp_path):
     path = tmp_path / "map.zarr"
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", CHILD, str(path)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    assert Forked(lambda: streamed_until_killed(path)).wait() == -signal.SIGKILL
     assert not path.exists()
     (left,) = tmp_path.iterdir()
     assert left.name.startswith(".map.zarr.")
