@@ -1,9 +1,11 @@
-"""A function that hangs or takes its process down, in a module that a new process imports in no time."""
+"""Functions that hang, take their process down or write nothing, in a module that a new process imports in no time."""
 
 from __future__ import annotations
 
 import os
 import time
+
+from sdm.errors import FormatError
 
 
 def misbehave(how: str) -> dict[str, str]:
@@ -13,3 +15,7 @@ def misbehave(how: str) -> dict[str, str]:
     if how == "die":
         os._exit(3)
     return {"how": how}
+
+
+def refuse(*_: object) -> None:
+    raise FormatError("the disk is full")

@@ -14,7 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.io import FORMATS, load, load_mesh, save
-from tests.helpers.forked import Forked
+from tests.helpers.processes.forked import Forked
 
 BALL = trimesh.creation.icosphere(1)
 AT = np.array([-40, -30, 50])

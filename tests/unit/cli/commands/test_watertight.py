@@ -12,7 +12,7 @@ from sdm.cli import main
 from sdm.cli.surfaces import closing, closing_job, closing_stages, journal
 from sdm.core.mesh import TriangleMesh
 from tests.helpers.closed_surface import assert_edges_cancel
-from tests.helpers.killed_command import killed_after
+from tests.helpers.processes.killed_command import killed_after
 
 
 @pytest.fixture

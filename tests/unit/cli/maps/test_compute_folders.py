@@ -15,8 +15,8 @@ from sdm.cli import main
 from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.maps.run import run as run_jobs
 from sdm.core.normalization import Normalization
-from tests.helpers.killed_command import killed_after
 from tests.helpers.map_settings import map_settings
+from tests.helpers.processes.killed_command import killed_after
 
 SMALL = ["--resolution", "12", "--device", "cpu"]
 BALL = trimesh.creation.icosphere(1)

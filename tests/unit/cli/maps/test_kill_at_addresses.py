@@ -16,7 +16,7 @@ import pytest
 import trimesh
 
 from sdm.cli import main
-from tests.helpers.killed_command import CHILD
+from tests.helpers.processes.killed_command import CHILD
 
 # Sessions of s3fs are closed when they like.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

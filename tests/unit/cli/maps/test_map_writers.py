@@ -30,7 +30,6 @@ from tests.helpers.map_settings import map_settings
 
 pytestmark = pytest.mark.skipif(not can_share(), reason="this system has no memory without a name")
 COUNT = 12
-HERE = __name__
 
 
 @pytest.fixture
@@ -131,14 +130,10 @@ def test_a_map_larger_than_the_rooms_is_copied_elsewhere(folder, tmp_path, monke
     assert len(made(folder, tmp_path / "out", "nii.gz")[0]) == COUNT - 2
 
 
-def refuse(*_: object) -> None:
-    raise FormatError("the disk is full")
-
-
 def test_rooms_of_maps_that_cannot_be_written_are_given_back(folder, tmp_path, monkeypatch, capsys):
     """More of them than rooms. An error knows where it was raised, and so the map."""
     monkeypatch.setattr("sdm.cli.maps.run.writing_processes", lambda *_: 1)
-    monkeypatch.setattr(map_writers, "WRITE", f"{HERE}:refuse")
+    monkeypatch.setattr(map_writers, "WRITE", "tests.helpers.misbehave:refuse")
     taken = []
     monkeypatch.setattr(SharedRooms, "take", lambda rooms: taken.append(0) or rooms._free.get(timeout=20))
     out = tmp_path / "out"

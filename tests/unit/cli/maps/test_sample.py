@@ -28,7 +28,7 @@ from sdm.io.meshes.split_file import write_split
 from sdm.sampling import sample
 from sdm.sampling.layouts import zarr_samples
 from sdm.sampling.layouts.zarr_samples import read_zarr
-from tests.helpers.killed_command import killed_after
+from tests.helpers.processes.killed_command import killed_after
 
 COUNT = 400
 PLACES = ("02691156/aa", "02691156/bb", "03001627/cc")

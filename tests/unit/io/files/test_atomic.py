@@ -17,7 +17,7 @@ from sdm.errors import FormatError
 from sdm.io import FORMATS, load, save
 from sdm.io.files import atomic, rename_exchange
 from sdm.io.files.atomic import LEFTOVER, put, replacing
-from tests.helpers.forked import Forked
+from tests.helpers.processes.forked import Forked
 
 GRID = Grid((0, 0, 0), (1, 1, 1), (6, 5, 4))
 FIELD = SDM(torch.arange(120, dtype=torch.float32).reshape(6, 5, 4), GRID, 0)

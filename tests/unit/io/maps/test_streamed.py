@@ -15,7 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.mesh_index import MeshIndex
 from sdm.io import FORMATS, grid_like, load, write_streamed
 from sdm.io.maps import zarr as zarr_io
-from tests.helpers.forked import Forked
+from tests.helpers.processes.forked import Forked
 
 BALL = trimesh.creation.icosphere(1)
 GRID = Grid((-1.2, -1.3, -1.4), (0.31, 0.33, 0.37), (9, 8, 7))

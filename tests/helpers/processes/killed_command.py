@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sdm.cli import main
-from tests.helpers.forked import Forked
+from tests.helpers.processes.forked import Forked
 
 CHILD = "import sys; from sdm.cli import main; sys.exit(main())"
 

@@ -1,0 +1,1 @@
+"""Processes beside that of the tests."""
