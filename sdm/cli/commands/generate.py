@@ -166,6 +166,8 @@ def generate(
         raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
     else:
         known = _describe(source, options, sign)
+    if skip_bad and "folder" not in known:
+        raise SDMError("--skip-bad is for a folder of meshes: a family has no bad ones")
     if count is None:
         raise SDMError("say how many samples: --count")
     # Refused now is what can be before meshes are read and kernels compiled.

@@ -114,5 +114,7 @@ def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
         named = entry.reason if printable(entry.mesh) in (entry.reason or "") else f"{entry.mesh}: {entry.reason}"
         print_line(f"sdm: {named}", error=True)
     if failed:
-        print_line(f"sdm: {len(failed)} of {len(entries)} meshes failed; the others are done", error=True)
+        others = "; the others are done" if len(failed) < len(entries) else ""
+        of_all = f"{len(failed)} of {len(entries)} meshes" if len(entries) > 1 else "the only mesh"
+        print_line(f"sdm: {of_all} failed{others}", error=True)
     return 2 if failed else None

@@ -186,7 +186,8 @@ def run(
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
     done = sum(entry.state != "failed" for entry in entries)
-    print_line(f"{shown(out)}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
+    whose = f"each of {done:,} meshes" if done > 1 else "one mesh" if done else "no mesh"
+    print_line(f"{shown(out)}: {recipe.count:,} samples of {whose}, layout {layout_name}")
     return sum_up(entries, skip_bad)
 
 

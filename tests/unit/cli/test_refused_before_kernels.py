@@ -46,6 +46,7 @@ def place(tmp_path, monkeypatch) -> Path:
         ("generate cochlea -o d.zarr --count 2 --device tpu", "no device called 'tpu'"),
         ("generate cochlea -o there.zarr --count 2", "is there already"),
         ("generate cochlea -o nowhere/d.zarr --count 2", "nowhere is not there"),
+        ("generate cochlea -o d.zarr --count 2 --skip-bad", "--skip-bad is for a folder"),
         ("generate meshes -o d.zarr --count 2 --resolution 0", "resolution 0"),
         ("compute meshes -o maps --resolution 0", "resolution 0"),
         ("compute meshes -o maps --margin -1", "margin -1.0"),
