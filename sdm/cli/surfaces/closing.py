@@ -132,7 +132,7 @@ def run(
             hear(surfaces_told(enumerate(jobs), len(jobs), options, journal, times, **more))
     if resume and folder is not None:
         remove_leftovers(folder)
-    elif resume:
+    elif folder is None:
         remove_leftovers_of(jobs[0][1])
     if report is not None:
         write_report(entries, report, surfaces=found, seconds_of_stages=times.seconds)

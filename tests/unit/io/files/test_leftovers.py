@@ -53,16 +53,16 @@ def test_what_a_killed_process_left_of_one_file_goes(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="there nothing is removed")
 @pytest.mark.parametrize("command", ["compute", "watertight", "generate"])
-def test_a_restart_takes_away_what_a_killed_one_left_of_its_only_output(command, tmp_path):
+def test_the_next_takes_away_what_a_killed_one_left_of_its_only_output(command, tmp_path):
     trimesh.creation.icosphere(1).export(tmp_path / "ball.ply")
     source, target, more = {
-        "compute": (tmp_path / "ball.ply", "map.npz", ["--resolution", "8"]),
+        "compute": (tmp_path / "ball.ply", "map.npz", ["--resolution", "8", "--resume"]),
         "watertight": (tmp_path / "ball.ply", "closed.ply", ["--resolution", "8"]),
-        "generate": ("cuboid", "d.zarr", ["--count", "2", "--resolution", "8"]),
+        "generate": ("cuboid", "d.zarr", ["--count", "2", "--resolution", "8", "--resume"]),
     }[command]
     written = tmp_path / f"{target}.part" if command == "generate" else tmp_path / target
     subprocess.run([sys.executable, "-c", KILLED, str(written)], check=False)
-    words = [command, str(source), "-o", str(tmp_path / target), "--resume", "--device", "cpu", *more]
+    words = [command, str(source), "-o", str(tmp_path / target), "--device", "cpu", *more]
     assert main(words) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["ball.ply", target])
 
