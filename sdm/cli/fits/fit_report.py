@@ -161,3 +161,5 @@ def print_points(record: dict[str, Any], state: Any, count: int, distance: float
         f"{count:,} points, {distance:.4g} {unit}".rstrip() + " from the shape on average; intervals take "
         "them to be independent"
     )
+    for sentence in record["warnings"]:
+        print_line(f"sdm: {sentence}", error=True)

@@ -27,6 +27,8 @@ LEAST_GAIN = 5.0
 MOST_LEFT = 1.0
 # Misfit at the surface, in standard deviations of the noise, from which intervals are told to be too narrow.
 MOST_MISFIT = 0.5
+# How near to an end of its range a parameter is there.
+AT_END = 1e-6
 # Half-width of the neighbourhood that has to be explained [mm].
 AROUND = 1.0
 
@@ -96,11 +98,7 @@ def diagnose(image: Tensor, grid: Grid, found: Outcome, prior: Prior, names: lis
         )
     if _at_border(at.share):
         problems.append("the shape reaches the image's border: take a larger part of the image")
-    warnings = [
-        f"{name} is at an end of its range, so its interval is one-sided"
-        for name, value, low, high in zip(names, at.state.theta, prior.low, prior.high, strict=True)
-        if float(value - low) < 1e-6 or float(high - value) < 1e-6
-    ]
+    warnings = at_ends(names, at.state.theta.tolist(), prior.low.tolist(), prior.high.tolist())
     if not converged and found.left <= MOST_LEFT:
         warnings.append(f"the steps stopped {found.left:.2f} posterior standard deviations from the optimum")
     misfit = surface_misfit(image, at, noise)
@@ -110,6 +108,15 @@ def diagnose(image: Tensor, grid: Grid, found: Outcome, prior: Prior, names: lis
             "too narrow: the scanner's blur may be another (--blur, FitOptions.blur), or intensities uneven"
         )
     return Diagnosis(converged, explained, contrast, gain, misfit, seen, tuple(problems), tuple(warnings))
+
+
+def at_ends(names: list[str], values: list[float], low: list[float], high: list[float]) -> list[str]:
+    """Sentences about parameters that came to an end of their ranges."""
+    return [
+        f"{name} is at an end of its range, so its interval is one-sided"
+        for name, value, least, most in zip(names, values, low, high, strict=True)
+        if value - least < AT_END or most - value < AT_END
+    ]
 
 
 def noise_of(image: Tensor) -> float:

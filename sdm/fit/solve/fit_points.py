@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +15,10 @@ from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.pose import State, rotation_from_vector
 from sdm.fit.model.prior import Prior
+from sdm.fit.solve.diagnosis import at_ends
 from sdm.fit.solve.posterior import Posterior
 from sdm.runtime.threads import one_thread_for
+from sdm.shapes import Parameter
 
 FEWEST, MOST = 20, 200_000
 STEPS, FIRST_STEPS, TOLERANCE = 60, 8, 1e-3
@@ -43,7 +46,7 @@ class PointFit:
     converged: bool
     steps: int
 
-    def record(self, parameters: Any, level: float = 0.9) -> dict[str, Any]:
+    def record(self, parameters: Sequence[Parameter], level: float = 0.9) -> dict[str, Any]:
         """Everything as plain numbers, for JSON."""
         state, ends = self.posterior.state, self.posterior.intervals(level).tolist()
         deviations = self.posterior.deviations.tolist()
@@ -62,7 +65,13 @@ class PointFit:
             "mean_distance": self.mean_distance,
             "converged": self.converged,
             "steps": self.steps,
+            "warnings": self.warnings(parameters),
         }
+
+    def warnings(self, parameters: Sequence[Parameter]) -> list[str]:
+        """Sentences about parameters at an end of their ranges, as points of another shape bring them to."""
+        values = self.posterior.state.theta.tolist()
+        return at_ends([p.name for p in parameters], values, [p.low for p in parameters], [p.high for p in parameters])
 
 
 def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float | None = None) -> PointFit:

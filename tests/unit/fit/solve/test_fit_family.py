@@ -94,8 +94,15 @@ def test_commands_fit_images_and_points(balls, tmp_path, monkeypatch, capsys):
     assert main(["fit", "--points", "scan.ply", *words]) == 0
     found = json.loads((tmp_path / "fit.json").read_text())
     assert found["theta"]["mode1"]["estimate"] == pytest.approx(0.5, abs=0.02)
+    assert found["warnings"] == []
     np.save("scan.npy", cloud)
+    capsys.readouterr()
     assert main(["fit", "--points", "scan.npy", *words]) == 0
+    assert capsys.readouterr().err == ""
+    # Of a much thinner shape.
+    np.save("scan.npy", cloud * [0.3, 1, 1])
+    main(["fit", "--points", "scan.npy", *words])
+    assert "is at an end of its range" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
