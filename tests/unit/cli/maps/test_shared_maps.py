@@ -20,7 +20,7 @@ import trimesh
 
 from sdm.cli import main
 from sdm.cli.maps.map_job import MapJob
-from sdm.cli.maps.map_manifest import NAME
+from sdm.cli.maps.map_manifest import NAME, MapManifest
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.run import processes_of, run
@@ -225,6 +225,15 @@ def test_the_manifest_is_of_its_settings(folder, tmp_path, monkeypatch, capsys):
         return capsys.readouterr().out.count("is there already")
 
     assert [run_and_keep(resolution) for resolution in (8, 9, 9)] == [0, 0, COUNT - 1]
+
+
+def test_a_manifest_that_another_command_took_away(tmp_path, monkeypatch):
+    """As of two that write to one folder, and end together."""
+    manifest, exists = MapManifest(tmp_path, map_settings(8), resume=True), Path.exists
+    monkeypatch.setattr(Path, "exists", lambda self, **how: self.name == NAME or exists(self, **how))
+    with manifest:
+        pass
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_a_machine_of_a_cluster_does_not_see(folder, tmp_path):
