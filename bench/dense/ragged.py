@@ -2,12 +2,13 @@
 
     python -m sdm.bench.dense.ragged --device cuda --out ragged-cuda.json
 
-Two lists of closed shapes, no two alike: `alike`, 64 of about 20,000 triangles, and `wide`, 1,000 of 1,000 to 100,000,
-evenly over the logarithm. Each is made into maps of `--resolution` voxels an axis around each mesh: by one call of
-`signed_distance_maps`, by a loop over `signed_distance_map`, and by a loop over stock Warp's query with either of its
-builders. Vertices and faces are on the device and were never seen before by the call that is timed. Ours counts
-everything: `joint` is `--runs` calls in a row, `joint_one_call` one from an idle device on. Of stock the queries are
-timed alone, and with builds. The loops take `--some` of the meshes, evenly chosen.
+Three lists of shapes, no two alike: `alike`, 64 closed ones of about 20,000 triangles, `wide`, 1,000 of 1,000 to
+100,000, evenly over the logarithm, and `torn`, 64 of about 20,000 of which half miss 0.1 to 30 % of their faces. Each
+is made into maps of `--resolution` voxels an axis around each mesh: by one call of `signed_distance_maps`, by a loop
+over `signed_distance_map`, and by a loop over stock Warp's query with either of its builders. Vertices and faces are on
+the device and were never seen before by the call that is timed. Ours counts everything: `joint` is `--runs` calls in a
+row, `joint_one_call` one from an idle device on. Of stock the queries are timed alone, and with builds. The loops take
+`--some` of the meshes, evenly chosen.
 Before that all maps are compared: bit for bit with single calls, and at random voxels with a float64 brute force.
 """
 
@@ -24,6 +25,7 @@ import torch
 import sdm
 from sdm.bench.common import json_file
 from sdm.bench.common.correctness import compare, voxel_centres
+from sdm.bench.common.dirty_meshes.by_code import torn
 from sdm.bench.common.figure import drawing
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import Case, sphere, torus
@@ -32,7 +34,9 @@ from sdm.bench.common.timing import once
 from sdm.bench.peers.warp import StockWarp, StockWarpSah
 from sdm.runtime import graphs
 
-LISTS = {"alike": (64, 16_000, 24_000), "wide": (1000, 1_000, 100_000)}
+LISTS = {"alike": (64, 16_000, 24_000), "wide": (1000, 1_000, 100_000), "torn": (64, 16_000, 24_000)}
+# Shares of the faces that torn ones miss.
+LEAST_TORN, MOST_TORN = 0.001, 0.3
 CHECKED_VOXELS = 40
 
 
@@ -50,10 +54,19 @@ def warped(number: int, triangles: int) -> Case:
 
 
 def list_of(name: str, count: int, fewest: int, most: int) -> list[Case]:
-    """Closed shapes with numbers of triangles evenly over the logarithm, in random order."""
+    """Shapes with numbers of triangles evenly over the logarithm, in random order."""
     sizes = np.exp(np.linspace(np.log(fewest), np.log(most), count)).astype(int)
     order = np.random.default_rng(len(name)).permutation(count)
-    return [warped(int(number), int(sizes[number])) for number in order]
+    cases = [warped(int(number), int(sizes[number])) for number in order]
+    if name == "torn":
+        shares = np.exp(np.linspace(np.log(LEAST_TORN), np.log(MOST_TORN), count))
+        cases[::2] = [_torn(case, float(share)) for case, share in zip(cases[::2], shares[::2], strict=True)]
+    return cases
+
+
+def _torn(case: Case, share: float) -> Case:
+    vertices, faces = torn((case.vertices, case.faces), share)
+    return Case(f"{case.name} less {100 * share:.2g} %", vertices, faces, frozenset(["open"]))
 
 
 def around(case: Case, resolution: int) -> sdm.Grid:

@@ -17,6 +17,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.arguments import Orient, SignMethod, oriented
+from sdm.engine.capacity.ready_maps import looks_closed
 from sdm.engine.checks.caller_warning import named
 from sdm.engine.checks.map_check import MapCheck, checked, later_check
 from sdm.engine.closest_points import Closest
@@ -33,6 +34,9 @@ from sdm.runtime.torch_warp import has_forward_mode, refuse_forward_mode
 
 # A map of more voxels fills a device by itself.
 LARGEST_JOINED = 1 << 27
+# Devices whose recordings make maps of open meshes one by one: together, each waits for its boundary and has launches
+# of its own, which take the host four times as long.
+RECORDING_DEVICES = ("cuda",)
 
 
 # A map, and its closest points where they are wanted.
@@ -114,7 +118,7 @@ def _maps_of_chunk(
     chunk: Sequence[MapJob], single: Callable[[TriangleMesh, Grid, torch.device], Found], wanted: Wanted
 ) -> list[Found]:
     found: dict[int, Found] = {}
-    for jobs in _joinable(chunk):
+    for jobs in _joinable(chunk, wanted):
         nbytes = sum([job.grid.nbytes for job in jobs])
         with torch.no_grad(), memory_guard(nbytes, jobs[0].mesh.device, f"{len(jobs)} maps"):
             joint = ragged_maps(jobs, signed=wanted.method.needs_winding)
@@ -173,7 +177,7 @@ def _result(job: MapJob, joint: JointMaps, place: int, wanted: Wanted) -> Found:
     return field, Closest(hit.points, hit.faces, hit.barycentric, job.mesh, grid)
 
 
-def _joinable(chunk: Sequence[MapJob]) -> list[list[MapJob]]:
+def _joinable(chunk: Sequence[MapJob], wanted: Wanted) -> list[list[MapJob]]:
     """Those that can be measured together, two or more at a time: on one device, turned or not."""
     if has_forward_mode():
         for job in chunk:
@@ -181,6 +185,7 @@ def _joinable(chunk: Sequence[MapJob]) -> list[list[MapJob]]:
     method = OPTIONS.get().method
     if method == "search":
         return []
+    plain = wanted.method.is_default and not wanted.closest
     alike: dict[tuple[torch.device, bool], list[MapJob]] = {}
     for job, eager in zip(chunk, are_eager([job.mesh.vertices for job in chunk]), strict=True):
         shape, device = job.grid.shape, job.mesh.vertices.device
@@ -189,6 +194,8 @@ def _joinable(chunk: Sequence[MapJob]) -> list[list[MapJob]]:
             continue
         # Without a plan, as the device waits until there are jobs.
         if method == "auto" and search_is_faster(job.triangles, shape, gpu):
+            continue
+        if plain and device.type in RECORDING_DEVICES and not looks_closed(job.triangles, job.mesh.vertices.shape[0]):
             continue
         alike.setdefault((device, job.turned), []).append(job)
     return [jobs for jobs in alike.values() if len(jobs) > 1]

@@ -41,6 +41,29 @@ def test_meshes_are_made_together(monkeypatch):
     assert together == [3]
 
 
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+def test_open_meshes_are_made_one_by_one_where_calls_are_recorded(monkeypatch):
+    together = []
+
+    def made(jobs, *, signed):
+        together.append([job.number for job in jobs])
+        return joint_maps.ragged_maps(jobs, signed=signed)
+
+    monkeypatch.setattr(calls, "ragged_maps", made)
+    vertices, faces = sphere(12)
+    meshes = [*MESHES, sdm.TriangleMesh(vertices, faces[:-7]), sdm.TriangleMesh(vertices, faces[9:])]
+    expected = sdm.signed_distance_maps(meshes, GRID, device="cpu")
+    monkeypatch.setattr(calls, "RECORDING_DEVICES", ("cpu",))
+    found = sdm.signed_distance_maps(meshes, GRID, device="cpu")
+    assert together == [[0, 1, 2, 3, 4], [0, 1, 2]]
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one.values, other.values)
+        assert one.ambiguous_voxels == other.ambiguous_voxels
+    # Where nobody asks for the side of a hole, all are made together.
+    sdm.signed_distance_maps(meshes, GRID, device="cpu", sign="none")
+    assert together[-1] == [0, 1, 2, 3, 4]
+
+
 def test_an_iterator_is_taken_as_it_is_needed():
     taken: list[int] = []
     found = sdm.signed_distance_maps(counted(taken, MESHES * 4), 7, device="cpu", max_bytes=1)
