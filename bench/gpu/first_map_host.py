@@ -106,7 +106,7 @@ def as_on_a_gpu() -> Iterator[None]:
     caches: dict[torch.device, graph_cache.GraphCache] = {}
 
     def cache_of(device: torch.device) -> graph_cache.GraphCache:
-        return caches.setdefault(device, graph_cache.GraphCache(MEMORY, recordings=replay.MOST_RECORDINGS))
+        return caches.setdefault(device, graph_cache.GraphCache(MEMORY, recordings=replay.MOST_OF_MANY))
 
     with ExitStack() as stack:
         for where, name, instead in (

@@ -251,7 +251,10 @@ def test_threads():
     assert wrong == []
 
 
-def test_recordings_are_evicted(launches):
+def test_recordings_are_evicted(launches, monkeypatch):
+    graphs.clear()
+    monkeypatch.setattr(replay, "_caches", {})
+    monkeypatch.setattr(replay, "MOST_OF_MANY", MOST_RECORDINGS)
     vertices, faces = torus(600)
     grids = [sdm.Grid([-1.2] * 3, [0.08] * 3, [31, 31, n]) for n in range(20, 20 + MOST_RECORDINGS + 2)]
     for _ in range(2):

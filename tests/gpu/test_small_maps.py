@@ -13,6 +13,7 @@ from sdm.bench.common.mesh_formulas import sphere, torus
 from sdm.bench.dense.live import frames_of
 from sdm.engine.plan_override import plan_override
 from sdm.runtime import graphs
+from sdm.runtime.graphs import replay
 from sdm.runtime.graphs.replay import MOST_RECORDINGS
 from tests.helpers.same_bits import assert_same_bits
 
@@ -66,9 +67,11 @@ def _moving(triangles, resolution):
     return frame, moved, expected
 
 
-def test_recordings_by_turns_and_driven_out_on_two_streams():
+def test_recordings_by_turns_and_driven_out_on_two_streams(monkeypatch):
     """More than are kept, in any order, in memory that holds what other work has left there."""
     graphs.clear()
+    monkeypatch.setattr(replay, "_caches", {})
+    monkeypatch.setattr(replay, "MOST_OF_MANY", MOST_RECORDINGS)
     draw = random.Random(1)
     kinds = [_moving(triangles, resolution) for resolution in (32, 64) for triangles in range(300, 9000, 480)]
     assert len(kinds) > MOST_RECORDINGS

@@ -57,7 +57,8 @@ class GraphCache:
     Args:
         most: Bytes that all of them may take.
         capture: Makes a recording of a work and its inputs in some pool.
-        recordings: How many there may be for calls of one kind, and as many for calls of many.
+        recordings: How many there may be for calls of one kind.
+        of_many: And for calls of many kinds; None: as many.
     """
 
     def __init__(
@@ -65,8 +66,10 @@ class GraphCache:
         most: int,
         capture: Callable[[MemoryPool, Work, Any], Recording] = CapturedCall,
         recordings: int = FEW_RECORDINGS,
+        of_many: int | None = None,
     ) -> None:
-        self._most, self._recordings = most, recordings
+        self._most = most
+        self._recordings = {False: recordings, True: recordings if of_many is None else of_many}
         self._capture = capture
         self._pool = MemoryPool()
         self._captured: OrderedDict[Hashable, Kept] = OrderedDict()
@@ -130,7 +133,7 @@ class GraphCache:
             return
         self._calls[key] = 0
         alike = [other for other, kept in self._captured.items() if kept.for_many == for_many]
-        for oldest in alike[: max(0, len(alike) + 1 - self._recordings)]:
+        for oldest in alike[: max(0, len(alike) + 1 - self._recordings[for_many])]:
             self._raise_threshold(for_many, self._captured[oldest].used)
             self.drop(oldest)
         try:

@@ -32,8 +32,9 @@ from sdm.runtime.torch_warp import current_device, is_capturing, raw_stream
 R = TypeVar("R")
 # The part of a device's memory that recordings may keep.
 SHARE = 16
-# And how many they are: a folder of meshes has a dozen capacity classes and more (`sdm.engine.capacity`).
-MOST_RECORDINGS = 32
+# And how many they are of single kinds of calls, and of calls of many kinds: for each grid's shape a folder of meshes
+# has a dozen capacity classes and more (`sdm.engine.capacity`).
+MOST_RECORDINGS, MOST_OF_MANY = 32, 128
 # Calls that another's recording serves before one is made. That takes a GPU up to 50 us more, and making one takes the
 # host 3 ms of one call: only those who go on for long wait for it.
 PATIENCE = 600
@@ -304,5 +305,5 @@ def _cache_of(device: torch.device) -> GraphCache:
             # Before torch and CUDA are taken apart.
             atexit.register(clear)
         most = torch.cuda.get_device_properties(device).total_memory // SHARE
-        found = _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
+        found = _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS, of_many=MOST_OF_MANY)
     return found

@@ -100,6 +100,15 @@ def test_recordings_for_many_stay_whatever_comes_for_one_kind(cache):
     assert cache.find("class") is None
 
 
+def test_more_may_be_kept_for_many_than_for_one_kind():
+    cache = GraphCache(1000, Stub, recordings=2, of_many=5)
+    for number in range(5):
+        cache.count(("many", number), 10, INPUTS, for_many=True)
+        _note(cache, ("one", number), times=MOST_CALLS)
+    kept = sorted(cache._captured)
+    assert kept == [*(("many", number) for number in range(5)), ("one", 3), ("one", 4)]
+
+
 def test_the_third_call_is_recorded(cache):
     _note(cache, "a", times=2)
     assert cache.find("a") is None
