@@ -14,7 +14,6 @@ from sdm.engine import maps
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
 from sdm.runtime.graphs.graph_cache import CALLS_OF_MANY, MOST_CALLS, MOST_KEYS, WELL_WORTH, WORTH, GraphCache
-from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.topology import face_pairing, guesses
 from sdm.topology.boundary_edges import boundary_edges
 
@@ -36,35 +35,6 @@ def cache():
 def _note(cache, key, nbytes=10, times=graphs.CALLS):
     for _ in range(times):
         cache.count(key, nbytes, INPUTS)
-
-
-def test_faces_are_copied_again_once_they_changed_or_another_recording_was_launched():
-    pool = MemoryPool()
-    one, other = InputCache(pool, 2), InputCache(pool, 2)
-    faces, again = torch.zeros(4, 3, dtype=torch.int32), torch.zeros(4, 3, dtype=torch.int32)
-
-    def launched(held, *given):
-        """Inputs that were there already."""
-        held.begin()
-        found = [held.holds(index, tensor) for index, tensor in enumerate(given)]
-        for index, tensor in enumerate(given):
-            held.copied(index, tensor)
-        return found
-
-    moving = torch.zeros(5, 3)
-    assert launched(one, moving, faces) == [False, False]
-    assert launched(one, moving, faces) == [False, True]
-    assert launched(one, moving, again) == [False, False]
-    assert launched(one, moving, again) == [False, True]
-    again[0] = 1
-    assert launched(one, moving, again) == [False, False]
-    # Its scratch may have been where the inputs of the first lie.
-    assert launched(other, moving, faces) == [False, False]
-    assert launched(one, moving, again) == [False, False]
-    assert launched(one, moving, again) == [False, True]
-    with torch.inference_mode():
-        uncounted = torch.zeros(4, 3, dtype=torch.int32)
-    assert [launched(one, moving, uncounted) for _ in range(2)] == [[False, False]] * 2
 
 
 def test_a_recording_for_many_is_made_at_once(cache):
