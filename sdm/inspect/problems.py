@@ -9,7 +9,9 @@ from typing import Any
 AUTO = 'orient="auto" (--orient auto)'
 ORIENT_PARTS = 'orient="parts" (--orient parts)'
 FLOOD = 'sign="flood" (--sign flood)'
-NOTHING_INSIDE = "the mesh is closed but encloses no volume, so nothing is inside"
+NOTHING_INSIDE = (
+    f"the mesh is closed but encloses no volume, so nothing is inside; {FLOOD} finds what doubled walls shut off"
+)
 
 
 def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:

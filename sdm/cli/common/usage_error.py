@@ -22,7 +22,7 @@ VALUES = (
     (re.compile(r"no type matching (\S+) could be instantiated from \[(.*)\]"), r"takes \1, not \2"),
 )
 PARSING = re.compile(r"Error parsing (\S+): (.*)")
-# What follows may be words without an option, too.
+WITHOUT_VALUE = re.compile(r"Missing value for argument '(.*?)'\..*")
 SURPLUS = "Unrecognized options: "
 CHOICE = re.compile(r"invalid choice (.*) for argument '(.*)'\. Expected one of \((.*?),?\)")
 
@@ -58,6 +58,9 @@ def _in_plain_words(said: str) -> str:
         # tyro has them in no order, and among them that nothing is given.
         known = sorted(word.strip(" '") for word in chosen[3].split(","))
         return f"{chosen[2]} takes one of {', '.join(word for word in known if word != 'None')}, not {chosen[1]}"
+    if alone := WITHOUT_VALUE.fullmatch(said):
+        return f"{alone[1]} needs a value"
+    # Of words without an option, too.
     if said.startswith(SURPLUS):
         return _of_surplus(said.removeprefix(SURPLUS).split(", "))
     found = PARSING.fullmatch(said)

@@ -138,6 +138,7 @@ CASES = [
     ("train sdmnn -o new --start nowhere.safetensors", "no such file"),
     ("train sdmnn -o new --start cut.safetensors", "is not a surrogate that sdm wrote"),
     ("train sdmnn -o new --open-meshes keep", "there is no option --open-meshes; see sdm train --help"),
+    ("compute ball.ply -o m.npz --report", "--report needs a value; see sdm compute --help"),
     ("inspect ball.ply other.ply", "one argument too many: other.ply; see sdm inspect --help"),
     ("inspect ball.ply --jsn", "there is no option --jsn; perhaps --json is meant; see sdm inspect --help"),
     ("train segmentation --data folder.ply -o new", "holds no cases to train"),

@@ -11,6 +11,7 @@ import sdm
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import SDMWarning
+from sdm.inspect.problems import NOTHING_INSIDE
 
 BALL = trimesh.creation.icosphere(2, radius=20)
 AT = np.array([-40.0, -30, 50])
@@ -46,7 +47,7 @@ CASES = {
     ),
     "one of two parts": (two(BALL.faces[:, ::-1]), Grid((-30, -30, -30), (5, 5, 5), (24, 13, 13)), ["1 of 2 comp"]),
     "no volume": (
-        ball(faces=np.concatenate([BALL.faces[:9], BALL.faces[:9, ::-1]])), GRID, ["closed but encloses no volume"]
+        ball(faces=np.concatenate([BALL.faces[:9], BALL.faces[:9, ::-1]])), GRID, ["encloses no volume", 'sign="flood"']
     ),
     "millimetres around the whole grid": (
         TriangleMesh(50 * BALL.vertices, BALL.faces), Grid((-0.8,) * 3, (0.2,) * 3, (9,) * 3), ["every voxel", "0.001"]
@@ -207,7 +208,7 @@ def test_real_meshes_raise_no_alarm(data_dir):
     for path in files:
         mesh = sdm.load_mesh(path)
         messages = found_by(lambda mesh=mesh: sdm.signed_distance_map(mesh, 12, device="cpu"))
-        wanted = ["chair_model.ply: the mesh is closed but encloses no volume, so nothing is inside"]
+        wanted = [f"chair_model.ply: {NOTHING_INSIDE}"]
         assert messages == (wanted if path.name == "chair_model.ply" else [])
 
 
