@@ -181,7 +181,10 @@ class FitScene:
             return
         self._changes += 1
 
-    def _note(self, stage: str, number: int, point: Point) -> None:
+    def _note(self, stage: str, number: int, point: Point | None) -> None:
+        # The search for a place to begin goes through places, in a coarse image, that have no outline in this one.
+        if point is None or stage == "start":
+            return
         state = point.state
         own = State(state.theta, state.rotation, state.translation / self._factor, state.centre / self._factor)
         with torch.no_grad():

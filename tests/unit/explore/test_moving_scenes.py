@@ -123,6 +123,8 @@ def test_the_steps_of_a_fit(cochlea):
     assert first.grey
     wait_for_the_fit(scene, values)
     assert scene.steps
+    # The search for a place to begin has steps in a coarse image.
+    assert not [step for step in scene.steps if step.name.startswith("start")]
     assert scene.result is not None, scene.problem
     last = scene.show(values)
     assert f"step {len(scene.steps)} of {len(scene.steps)}" in last.note
