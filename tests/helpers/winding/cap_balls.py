@@ -8,6 +8,7 @@ import numpy as np
 
 from sdm.bench.common.dirty_meshes.by_code import boxes, half_spheres, loose, torn, turned
 from sdm.bench.common.meshes import torus
+from tests.helpers import oracle
 
 MESHES = {
     "torn": lambda: torn(torus(2000), 0.3),
@@ -18,8 +19,6 @@ MESHES = {
 }
 
 
-# Points at a time, so that what is worked out about each cap stays in a CPU's cache.
-SOME = 16
 # Shares of the last few caps and points: tests ask for the same at every tolerance, and they take longer than all else.
 _known: dict[bytes, np.ndarray] = {}
 MOST_KNOWN = 4
@@ -32,18 +31,9 @@ def exact_shares(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     if key not in _known:
         if len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
-        found = [_shares(corners, points[k : k + SOME]) for k in range(0, len(points), SOME)]
-        _known[key] = np.concatenate(found)
+        faces = np.arange(3 * len(corners)).reshape(-1, 3)
+        _known[key] = oracle.winding_number(corners.reshape(-1, 3), faces, points)
     return _known[key]
-
-
-def _shares(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    a, b, c = np.moveaxis(corners[None] - points[:, None, None], 2, 0)
-    la, lb, lc = (np.sqrt(np.einsum("pni,pni->pn", each, each)) for each in (a, b, c))
-    v = np.einsum("pni,pni->pn", a, np.cross(b, c))
-    ab, bc, ca = (np.einsum("pni,pni->pn", *pair) for pair in ((a, b), (b, c), (c, a)))
-    f = la * lb * lc + ab * lc + bc * la + ca * lb
-    return (2 * np.arctan2(v, f)).sum(1) / (4 * np.pi)
 
 
 def balls_among(
