@@ -23,17 +23,17 @@ def _dirty(record: Any) -> list[float]:
 
 
 README_FIGURES: tuple[tuple[str, str, str, Callable[[Any], Sequence[Any]]], ...] = (
-    (README, "{} foreign meshes, open", "zoo-speed-64-h100", lambda r: [r["summary"]["64"]["meshes"]]),
-    (README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-64-h100", lambda r: _zoo(r, "64")),
+    (README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
+    (README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
     (README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
-    (SPEED, "of {} foreign meshes the first", "zoo-speed-64-h100", lambda r: [r["summary"]["64"]["meshes"]]),
+    (SPEED, "of {} foreign meshes the first", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
     (
         SPEED,
         "{:.2f} times as fast as stock Warp's query at 64^3, and {} are",
-        "zoo-speed-64-h100",
+        "zoo-speed-cuda",
         lambda r: _zoo(r, "64"),
     ),
-    (SPEED, "an older engine was {:.0f} times as fast", "zoo-speed-cuda", lambda r: _zoo(r, "256")[:1]),
+    (SPEED, "At 256^3 they are {:.0f} times as fast", "zoo-speed-cuda", lambda r: _zoo(r, "256")[:1]),
     (README, "{:.0f}, {:.0f}, {:.0f}, {:.0f} times as fast; {:.0f} times with half", "dirty-cuda", _dirty),
     (README, "{:.0f} meshes a second as `.npz`, {:.0f} as `.nii.gz`", "disk-cuda", rates),
 )
