@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
-from sdm.cli.common.printed_line import print_line
+from sdm.cli.common.printed_line import counted, print_line
 
 
 def decode(
@@ -65,7 +65,7 @@ def decode(
     elif ending in WRITERS:
         mesh = decode_mesh(found, shape.code, sphere=shape.sphere, resolution=resolution)
         save_mesh(mesh, out)
-        print_line(f"{out}: {len(mesh):,} triangles")
+        print_line(f"{out}: {counted(len(mesh), 'triangle')}")
         return
     else:
         sphere = shape.sphere

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from sdm.cli.common.argument_types import Device
-from sdm.cli.common.printed_line import print_line
+from sdm.cli.common.printed_line import counted, print_line
 
 
 def split(
@@ -69,7 +69,7 @@ def split(
     for name, reason in found.skipped:
         print_line(f"sdm: {name} is not used: {reason}", error=True)
     if found.skipped and not skip_bad:
-        many, them = ("1 mesh", "it") if len(found.skipped) == 1 else (f"{len(found.skipped)} meshes", "them")
+        many, them = counted(len(found.skipped), "mesh", "meshes"), "it" if len(found.skipped) == 1 else "them"
         raise MeshError(f"{many} of {folder} cannot be used: mend {them}, or go on by --skip-bad")
     pairs = [[one, other, float(f"{distance:.6g}")] for one, other, distance in found.twins]
     more = {"seed": seed, "shares": shares, "near_twins_below": twins, "group": group, "twins": pairs}

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from sdm.cli.common.inputs import refuse_inputs
-from sdm.cli.common.printed_line import print_line
+from sdm.cli.common.printed_line import counted, print_line
 from sdm.core.signed_distance_map import SDM
 from sdm.deepsdf.samples.label_surface import label_map
 from sdm.engine.distance_transform import euclidean_distance_transform
@@ -83,7 +83,7 @@ def write_label_maps(
             made = label_map(mask, field.grid, smoothing=smooth)
         save(made, target)
         print_line(
-            f"{source.name}: class {value}, {_voxels(int(mask.sum()))}, {field.grid.summary}, "
+            f"{source.name}: class {value}, {counted(int(mask.sum()), 'voxel')}, {field.grid.summary}, "
             f"{time.perf_counter() - begin:.2f} s on {device}, written to {target}"
         )
 
@@ -93,10 +93,6 @@ def _labels_of(field: SDM, source: Path) -> torch.Tensor:
     if not bool((values == values.round()).all()) or float(values.abs().max()) > LARGEST:
         raise SDMError(f"{source} holds other values than whole numbers, so it is no label volume: give one of labels")
     return values.int()
-
-
-def _voxels(count: int) -> str:
-    return "1 voxel" if count == 1 else f"{count:,} voxels"
 
 
 def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -> list[int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sdm.cli.common.failed_item import reason_of
+from sdm.cli.common.printed_line import counted
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.cli.maps.work import MapTask, Written
@@ -83,7 +84,8 @@ def tasks_of(jobs: list[tuple[Path, Path]]) -> list[MapTask]:
 def _line(task: MapTask, found: Written, settings: Settings) -> str:
     grid = found.read.grid
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
+    size = f"{' x '.join(map(str, grid.shape))} voxels of {spacing}"
     return (
-        f"{task.name}: {len(found.read.mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
+        f"{task.name}: {counted(len(found.read.mesh), 'triangle')}, {size}, "
         f"{found.seconds:.2f} s on {settings.device}, written to {shown(task.target)}"
     )

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.common.printed_line import printable
+from sdm.cli.common.printed_line import counted, printable
 from sdm.io.files.json_file import write_json
 
 VERSION = 1
@@ -63,5 +63,5 @@ def failures_table(entries: list[MeshEntry]) -> list[str]:
     width = min(WIDEST, max((len(printable(entry.mesh)) for entry in failed), default=0))
     lines = [f"{printable(entry.mesh):<{width}}  {entry.reason}" for entry in failed]
     said = ", ".join(f"{count:,} {state}" for state, count in counts.items() if count or state == "done")
-    total = "1 mesh" if len(entries) == 1 else f"{len(entries):,} meshes"
-    return [*lines, f"{total}: {said}{f', {warned:,} with warnings' if warned else ''}"]
+    said += f", {warned:,} with warnings" if warned else ""
+    return [*lines, f"{counted(len(entries), 'mesh', 'meshes')}: {said}"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sdm.cli.common.printed_line import counted
 from sdm.cli.maps.work import ReadMesh
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
@@ -31,7 +32,7 @@ def _about_gaps(inside: int, ambiguous: int, doubtful: bool, grid: Grid) -> list
     """Said of a mesh that is not closed, where there is anything to add to the doubts about it."""
     if ambiguous:
         share = 100 * ambiguous / grid.size
-        voxels, are = ("1 voxel", "is") if ambiguous == 1 else (f"{ambiguous:,} voxels", "are")
+        voxels, are = counted(ambiguous, "voxel"), "is" if ambiguous == 1 else "are"
         text = (
             f" is not closed: whether {voxels} ({share:.2g} %) {are} inside is ambiguous; "
             "the sign follows the generalised winding number (sdm inspect tells more)"

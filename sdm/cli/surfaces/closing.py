@@ -9,6 +9,7 @@ from typing import Any
 
 from sdm.cli.common.inputs import refuse_inputs, refuse_twice
 from sdm.cli.common.output_files import inputs_of, places_in
+from sdm.cli.common.printed_line import counted
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
@@ -171,7 +172,7 @@ def _entry(source: Path, target: Path, told: SurfaceTold, kept: dict[str, Any]) 
 def _line(made: WatertightReport, seconds: float, target: Path) -> str:
     forth, back = made.input_to_output, made.output_to_input
     return (
-        f"{made.name}: {made.triangles:,} triangles, {'closed' if made.closed else 'not closed'}; "
+        f"{made.name}: {counted(made.triangles, 'triangle')}, {'closed' if made.closed else 'not closed'}; "
         f"{made.output_triangles:,} at an offset of {made.offset:.4g} by voxels of {made.spacing:.4g}; "
         f"mesh to surface at most {forth.largest:.4g}, on average {forth.mean:.4g}; "
         f"surface to mesh {back.largest:.4g}, {back.mean:.4g}; {seconds:.2f} s, written to {shown(target)}"

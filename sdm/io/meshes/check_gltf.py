@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sdm.errors import MeshError
+from sdm.io.meshes.gltf_parts import what_is_missing
 
 GLB, GLB_HEADER, CHUNK_HEADER = b"glTF", 12, 8
 DRACO = "KHR_draco_mesh_compression"
@@ -35,6 +36,9 @@ def check_gltf(path: Path) -> None:
         raise MeshError(
             f"{path} cannot be read; it is damaged, or not what its name says (it holds no JSON)"
         ) from error
+    broken = next(what_is_missing(document, is_binary=data[:4] == GLB), None)
+    if broken is not None:
+        raise MeshError(f"{path} cannot be read: {broken}")
     try:
         reason = next(_reasons(document, len(data) + _bytes_beside(document, path)), None)
     # What is damaged is for the parser to refuse.

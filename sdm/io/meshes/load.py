@@ -106,7 +106,9 @@ def _read(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
         raise MeshError(f"{path} cannot be read: its name, or one in it, is not UTF-8; give it another") from error
     # Parsers of damaged files raise whatever they come across.
     except Exception as error:
-        why = one_line(error)
+        # Of these Python says what its code lacks, not what the file does.
+        own = isinstance(error, AssertionError | AttributeError | KeyError | NameError | TypeError)
+        why = "a part is missing, or of another kind" if own else one_line(error)
         raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
 
 

@@ -234,6 +234,33 @@ def _gltf(path, change) -> None:
     path.write_bytes(head + scene[16:20] + text + rest)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda document, *_: document.update(accessors=["x"]), "its accessors are no list of objects"),
+        (lambda document, *_: document.update(nodes={"mesh": 0}), "names in place of numbers, as in glTF 1"),
+        (lambda document, *_: document["meshes"][0].pop("primitives"), "mesh 0 has no list of primitives"),
+        (lambda _, primitive, vertices: primitive["attributes"].update(POSITION=70), "mesh 0 has 70 as POSITION, and"),
+        (lambda _, primitive, vertices: primitive.update(indices="a"), "mesh 0 has 'a' as indices, and there are"),
+        (lambda _, primitive, vertices: vertices.update(bufferView=-1), "has -1 as bufferView, and there are"),
+        (lambda document, *_: document["bufferViews"][0].update(buffer=3), "bufferView 0 has 3 as buffer, and"),
+        (lambda document, *_: document["nodes"][-1].update(mesh=1), "has 1 as mesh, and there are 1 meshes"),
+    ],
+)
+def test_gltf_of_parts_that_are_not_there(change, words, tmp_path):
+    _gltf(tmp_path / "a.glb", change)
+    refused(tmp_path / "a.glb", "cannot be read: it", words)
+
+
+def test_a_gltf_file_whose_buffer_names_no_file(tmp_path):
+    trimesh.Scene(trimesh.creation.box()).export(tmp_path / "a.gltf")
+    document = json.loads((tmp_path / "a.gltf").read_text())
+    for buffer in document["buffers"]:
+        buffer.pop("uri", None)
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    refused(tmp_path / "a.gltf", "a buffer names no file")
+
+
 def _draco(document, primitive, vertices) -> None:
     primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     vertices.pop("bufferView")
