@@ -153,6 +153,8 @@ def main() -> None:
     options = parser.parse_args()
     until = time.monotonic() + options.budget_s
     torch.set_num_threads(1)
+    if options.folder:
+        options.folder.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix="sdm-disk-", dir=options.folder))
     record: dict[str, Any] = {"machine": describe(options.device), "cores": len(os.sched_getaffinity(0))}
     record |= {"load": os.getloadavg()[0], "file_system": file_system_of(folder), "pipelines": []}
