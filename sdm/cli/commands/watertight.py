@@ -50,7 +50,7 @@ def watertight(
         out: File to write (its ending is the format: .ply, .stl, .obj, .off, .glb, .vtk, .vtp), or a folder.
         resolution: Voxels along the longest edge of a mesh's box.
         offset: Distance of the surface from the mesh, in its unit. From 0.87 voxels on nothing of a mesh is lost.
-        hole_size: Gaps narrower than this length are closed, with --hidden drop.
+        hole_size: With --hidden drop, gaps narrower than this length are closed.
         hidden: drop fills what no way leads into from outside; keep keeps cavities.
         method: cubes (marching cubes), or dual (dual contouring), which keeps edges and corners sharp.
         format: File format, for surfaces written to a folder.
