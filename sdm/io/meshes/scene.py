@@ -11,8 +11,8 @@ import numpy as np
 
 from sdm.errors import MeshError
 from sdm.io.meshes.archive import check_zip
-from sdm.io.meshes.check_gltf import check_gltf
 from sdm.io.meshes.collada_looks import without_looks
+from sdm.io.meshes.gltf.check import check_gltf
 from sdm.io.meshes.polygons import check_indices
 
 if TYPE_CHECKING:

@@ -279,7 +279,7 @@ def _draco(document, primitive, vertices) -> None:
 )
 def test_gltf_that_would_be_read_wrongly(change, words, tmp_path, monkeypatch):
     # With DracoPy, trimesh reads what Draco compressed.
-    monkeypatch.setattr("sdm.io.meshes.check_gltf.find_spec", lambda name: None)
+    monkeypatch.setattr("sdm.io.meshes.gltf.check.find_spec", lambda name: None)
     _gltf(tmp_path / "a.glb", lambda *_: None)
     assert len(load_mesh(tmp_path / "a.glb")) == 12
     _gltf(tmp_path / "b.glb", change)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sdm.errors import MeshError
-from sdm.io.meshes.gltf_parts import what_is_missing
+from sdm.io.meshes.gltf.parts import what_is_missing
 
 GLB, GLB_HEADER, CHUNK_HEADER = b"glTF", 12, 8
 DRACO = "KHR_draco_mesh_compression"

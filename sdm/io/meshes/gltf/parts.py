@@ -7,13 +7,13 @@ from typing import Any, TypeAlias
 
 Parts: TypeAlias = dict[str, list[dict[str, Any]]]
 
-# What triangles are read from, and by which names parts of one kind name those of another, by their numbers.
+# Kinds of parts that triangles are read from, and under which key parts of one kind have the number of another's.
 KINDS = "accessors", "bufferViews", "buffers", "meshes", "nodes"
 NAMES = ("accessors", "bufferView", "bufferViews"), ("bufferViews", "buffer", "buffers"), ("nodes", "mesh", "meshes")
 
 
 def what_is_missing(document: Any, *, is_binary: bool) -> Iterator[str]:
-    """What is wrong with a document, in words that follow "cannot be read:"; of a `.glb` file if `is_binary`."""
+    """Faults of a document, in words that follow "cannot be read:". `is_binary`: it is that of a `.glb` file."""
     if not isinstance(document, dict):
         yield "it is damaged, its JSON is no object"
         return

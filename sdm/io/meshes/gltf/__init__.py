@@ -1,0 +1,1 @@
+"""glTF files: what is looked at before they are parsed."""
