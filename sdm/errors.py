@@ -23,3 +23,18 @@ class FormatError(SDMError):
 
 class SDMWarning(UserWarning):
     """A result that is probably not what was meant: a mesh inside out, or in another unit than its grid."""
+
+
+# Characters of another library's message that a sentence has room for.
+_LONGEST = 200
+
+
+def one_line(message: object) -> str:
+    """Another library's message, fit for the middle of a sentence: on one line, cut where it grows long.
+
+    Of an error without one, its name.
+    """
+    text = " ".join(str(message).split()).rstrip(".")
+    if not text and isinstance(message, BaseException):
+        text = type(message).__name__
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

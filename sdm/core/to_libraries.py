@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from sdm.core.block_lookup import BLOCK
-from sdm.errors import SDMError
+from sdm.errors import SDMError, one_line
 
 if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
@@ -29,7 +29,7 @@ def imported(module: str, package: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        why = " ".join(str(error).split())
+        why = one_line(error)
         raise SDMError(f"this needs {package}, which cannot be imported ({why}): pip install {package}") from error
 
 

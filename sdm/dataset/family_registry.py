@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sdm.errors import SDMError
-from sdm.io.files.one_line import one_line
+from sdm.errors import SDMError, one_line
 from sdm.io.files.remote import is_remote
 from sdm.io.files.stand_in import address_of, to_read
 from sdm.io.files.stand_in import known as known_stand_ins

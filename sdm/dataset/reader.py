@@ -17,8 +17,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.dataset import layout
 from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_paths import file_of, rows_of
-from sdm.errors import FormatError, SDMError
-from sdm.io.files.one_line import one_line
+from sdm.errors import FormatError, SDMError, one_line
 from sdm.io.files.remote import place_of
 from sdm.shapes import Family, Parameter
 from sdm.stream import Batch, SDMStream

@@ -180,8 +180,9 @@ def _refuse_with_points(options: dict[str, object]) -> None:
 
     given = [f"--{name.replace('_', '-')}" for name, value in options.items() if not (value is None or value is False)]
     if given:
-        names = " and ".join([*([", ".join(given[:-1])] if given[1:] else []), given[-1]])
-        verb, them = ("are", "them") if given[1:] else ("is", "it")
+        *others, last = given
+        names = f"{', '.join(others)} and {last}" if others else last
+        verb, them = ("are", "them") if others else ("is", "it")
         raise SDMError(f"{names} {verb} of an image's fit: leave {them} out with --points")
 
 

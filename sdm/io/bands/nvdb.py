@@ -16,9 +16,8 @@ import warp as wp
 from sdm.core.block_lookup import blocks_along, joined_runs, keys_of
 from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
-from sdm.errors import FormatError
+from sdm.errors import FormatError, one_line
 from sdm.io.bands.volume import inside_of, nodes_of, volume_of
-from sdm.io.files.one_line import one_line
 from sdm.io.maps import nvdb
 from sdm.io.maps.record import HOLE_SIZE, MADE_FROM, SIGN_METHOD, TRUNCATED
 

@@ -10,8 +10,7 @@ from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-from sdm.errors import FormatError, SDMError
-from sdm.io.files.one_line import one_line
+from sdm.errors import FormatError, SDMError, one_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sdm.io.files.one_line import one_line
+from sdm.errors import one_line
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree as ET

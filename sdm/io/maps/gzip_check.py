@@ -10,8 +10,7 @@ from pathlib import Path
 
 from nibabel.fileholders import FileHolder
 
-from sdm.errors import FormatError
-from sdm.io.files.one_line import one_line
+from sdm.errors import FormatError, one_line
 
 BLOCK = 1 << 20
 

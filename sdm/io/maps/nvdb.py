@@ -27,8 +27,7 @@ from isal import isal_zlib
 
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
-from sdm.errors import FormatError
-from sdm.io.files.one_line import one_line
+from sdm.errors import FormatError, one_line
 from sdm.io.maps.record import DISAGREEMENTS, HOLE_SIZE, MADE_FROM, SIGN_METHOD, TRUNCATED, sign_arguments
 from sdm.kernels.nanovdb import lookup, store
 

@@ -15,10 +15,9 @@ from sdm.core.grid import Grid
 from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
 from sdm.core.sparse_sdm import SparseSDM
-from sdm.errors import FormatError, GridError, SDMError
+from sdm.errors import FormatError, GridError, SDMError, one_line
 from sdm.io.bands.save_and_load import band_origin, is_band, read_band, save_band
 from sdm.io.files.atomic import replacing
-from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import is_remote, local_copy, local_for
 from sdm.io.maps.formats import (
     FORMATS,

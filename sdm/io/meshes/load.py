@@ -9,9 +9,8 @@ from stat import S_ISDIR
 import numpy as np
 
 from sdm.core.mesh import LARGEST_COORDINATE, TriangleMesh
-from sdm.errors import FormatError, MeshError
+from sdm.errors import FormatError, MeshError, one_line
 from sdm.io.files.list_files import visible
-from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import is_remote, local_copy
 from sdm.io.files.stand_in import address_of
 from sdm.io.meshes.archive import unpacked

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from sdm.errors import SDMError
+from sdm.errors import SDMError, one_line
 from sdm.runtime.sharing.devices import device_kind
 from sdm.runtime.sharing.job import SharedJob
 
@@ -73,7 +73,7 @@ def run_on_ray(job: SharedJob, shards: list[int], address: str, done: Callable[[
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
-            raise SDMError(f"there is no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
+            raise SDMError(f"there is no Ray cluster at {address!r}: {one_line(error)}") from error
         _handle_termination_by(before)
     try:
         # Workers are in folders of their own.
@@ -98,7 +98,7 @@ def _knock(address: str) -> None:
         socket.create_connection((place[1].strip("[]"), int(place[2])), timeout=KNOCK).close()
     # A port beyond those that there are is an OverflowError.
     except (OSError, OverflowError) as error:
-        raise SDMError(f"there is no Ray cluster at {address!r}: {' '.join(str(error).split())}") from error
+        raise SDMError(f"there is no Ray cluster at {address!r}: {one_line(error)}") from error
 
 
 class _Crew:

@@ -9,9 +9,8 @@ import numpy as np
 import torch
 
 from sdm.core.device import require_memory
-from sdm.errors import FormatError, SDMError
+from sdm.errors import FormatError, SDMError, one_line
 from sdm.io.files.list_files import visible
-from sdm.io.files.one_line import one_line
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.labels import foreground
 

@@ -11,9 +11,8 @@ from nibabel.filebasedimages import ImageFileError
 from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 
-from sdm.errors import FormatError
+from sdm.errors import FormatError, one_line
 from sdm.io.files.list_files import visible
-from sdm.io.files.one_line import one_line
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.nifti import opened
