@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normalization
 from sdm.engine.arguments import oriented
 from sdm.engine.mesh_index import MeshIndex
-from sdm.errors import MeshError
+from sdm.errors import MeshError, SDMError
 from sdm.inspect.quick_look import look_at
 from sdm.io import load_mesh
 from sdm.runtime.host_copy import HostCopy
@@ -90,6 +91,7 @@ class FolderSampling:
         recipe: What is sampled.
         device: Where to compute.
         parts: Part of the folder's split -> numbers of its meshes, for the lists.
+        known: Numbers of meshes of which there is nothing to tell if their samples are there; others are read again.
         workers: Threads that read, and as many that write; by default what the machine has.
         times: The pipeline's clock.
 
@@ -107,10 +109,11 @@ class FolderSampling:
         device: torch.device,
         *,
         parts: dict[str, list[int]] | None = None,
+        known: frozenset[int] = frozenset(),
         workers: int | None = None,
         times: StageTimes | None = None,
     ) -> None:
-        self._parts = parts or {}
+        self._parts, self._known = parts or {}, known
         self._tasks = [_Task(n, *pair) for n, pair in enumerate(zip(sources, instances, strict=True))]
         self._layout, self._recipe, self._device = layout, recipe, device
         self.times = StageTimes() if times is None else times
@@ -164,9 +167,9 @@ class FolderSampling:
         """Complete the folder: whether the samples of each mesh are there."""
         self._layout.end(done, self._parts)
 
-    def _read(self, task: _Task) -> _Read | None:
+    def _read(self, task: _Task) -> _Read | SampledMesh:
         if self._layout.is_done(task.number):
-            return None
+            return self._there(task)
         start = time.perf_counter()
         mesh = load_mesh(task.source)
         by = None if self._recipe.normalize is None else Normalization.of(mesh, self._recipe.normalize)
@@ -184,9 +187,18 @@ class FolderSampling:
             raise MeshError(f"{task.source}: {doubts[0]}")
         return _Read(task, mesh, by, closed, time.perf_counter() - start)
 
-    def _measure(self, read: _Read | None) -> _Measured | None:
-        if read is None:
-            return None
+    def _there(self, task: _Task) -> SampledMesh:
+        """A mesh whose samples are there."""
+        if task.number not in self._known:
+            # The file may have gone since.
+            with contextlib.suppress(SDMError):
+                mesh = oriented(load_mesh(task.source), self._recipe.orient, self._device)
+                return SampledMesh(there=True, triangles=len(mesh), closed=look_at(mesh).is_closed(mesh))
+        return SampledMesh(there=True)
+
+    def _measure(self, read: _Read | SampledMesh) -> _Measured | SampledMesh:
+        if isinstance(read, SampledMesh):
+            return read
         start, recipe = time.perf_counter(), self._recipe
         index = MeshIndex(read.mesh, self._device, warn=False)
         seed = mesh_seed(recipe.seed, read.task.instance.path)
@@ -209,9 +221,9 @@ class FolderSampling:
         rows = HostCopy(torch.cat(parts, 1), make)
         return _Measured(read, rows, read.seconds + time.perf_counter() - start)
 
-    def _write(self, found: _Measured | None) -> SampledMesh:
-        if found is None:
-            return SampledMesh(there=True)
+    def _write(self, found: _Measured | SampledMesh) -> SampledMesh:
+        if isinstance(found, SampledMesh):
+            return found
         start, read = time.perf_counter(), found.read
         samples = found.rows.wait()
         inside = int(samples.occupancies.sum())

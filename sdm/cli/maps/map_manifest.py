@@ -9,26 +9,20 @@ now and then.
 from __future__ import annotations
 
 import contextlib
-import json
-import time
 from dataclasses import fields, replace
 from pathlib import Path
 from stat import S_ISREG
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import torch
 
+from sdm.cli.maps.line_file import LineFile
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.cli.maps.work import MapTask
-from sdm.errors import FormatError
 from sdm.io.files.leftovers import remove_leftovers
-from sdm.io.files.stand_in import address_of, bring, gone
-
-NAME = "unfinished.jsonl"
-# Between two times that the manifest is brought to its address.
-SECONDS = 5.0
+from sdm.io.files.stand_in import address_of
 
 
 class MapManifest:
@@ -42,18 +36,16 @@ class MapManifest:
 
     def __init__(self, folder: Path | None, settings: Settings, *, resume: bool) -> None:
         self._folder, self._resume = folder, resume
-        self._path = None if folder is None else folder / NAME
+        self._lines = None if folder is None else LineFile(folder)
         self._is_far = folder is not None and address_of(folder) is not None
-        self._brought, self._pause = time.monotonic(), SECONDS
         # When the manifest of the run before was last brought, which all maps of its lines were before.
         self._before = 0
         self._settings = repr(replace(settings, device=torch.device("cpu"), resume=False, like_image=None))
         self._known: dict[str, dict[str, Any]] = {}
-        self._file: IO[str] | None = None
-        if self._path is not None and resume:
-            self._read(self._path)
-        elif self._path is not None and self._path.exists():
-            self._remove(self._path)
+        if self._lines is not None and resume:
+            self._read(self._lines)
+        elif self._lines is not None and self._lines.path.exists():
+            self._lines.remove()
 
     def __enter__(self) -> Self:
         return self
@@ -61,15 +53,10 @@ class MapManifest:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._file is not None:
-            self._file.close()
         if self._folder is not None and self._resume and kind is None:
             remove_leftovers(self._folder)
-        if self._path is not None and self._path.exists():
-            if kind is None:
-                self._remove(self._path)
-            else:
-                bring(self._path, keep=True)
+        if self._lines is not None:
+            self._lines.close(whole=kind is None)
 
     def find(self, task: MapTask) -> MeshEntry | None:
         """Entry of a mesh whose map is there as it was written; None of another."""
@@ -87,25 +74,11 @@ class MapManifest:
             FormatError: The file cannot be written.
         """
         marks = _mark(task.source), _mark(task.target)
-        if self._path is None or None in marks:
+        if self._lines is None or None in marks:
             return
         line = {"settings": self._settings, "target": _name(task.target)}
         line |= {"source": marks[0], "written": marks[1], "entry": vars(entry)}
-        try:
-            if self._file is None:
-                self._file = self._path.open("a", encoding="utf-8")
-                # The line before may be torn.
-                self._file.write("\n")
-            self._file.write(json.dumps(line) + "\n")
-            self._file.flush()
-        except OSError as error:
-            raise FormatError(f"{self._path} cannot be written: {error.strerror or error}") from error
-        if self._is_far and time.monotonic() > self._brought + self._pause:
-            begin = time.monotonic()
-            bring(self._path, keep=True)
-            self._brought = time.monotonic()
-            # All of it goes each time, and is to be little beside the maps.
-            self._pause = max(SECONDS, 20 * (self._brought - begin))
+        self._lines.add(line)
 
     def _is_as_written(self, there: list[int] | None, written: list[int]) -> bool:
         if there is None or there == written or not self._is_far:
@@ -113,22 +86,15 @@ class MapManifest:
         # The server has put its own time on it, since when nobody wrote to it.
         return there[0] == written[0] and there[1] < self._before
 
-    def _remove(self, path: Path) -> None:
-        # Another command may write to the same folder.
-        path.unlink(missing_ok=True)
-        gone(path)
-
-    def _read(self, path: Path) -> None:
+    def _read(self, lines: LineFile) -> None:
         with contextlib.suppress(OSError):
             # The time of a server may be in whole seconds.
-            self._before = path.stat().st_mtime_ns + 10**9
+            self._before = lines.path.stat().st_mtime_ns + 10**9
         names = {one.name for one in fields(MeshEntry)}
-        with contextlib.suppress(OSError):
-            for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-                with contextlib.suppress(ValueError, KeyError, TypeError):
-                    found = json.loads(line)
-                    if found["settings"] == self._settings and found["entry"].keys() <= names:
-                        self._known[found["target"]] = {key: found[key] for key in ("source", "written", "entry")}
+        for found in lines.read():
+            with contextlib.suppress(KeyError, TypeError, AttributeError):
+                if found["settings"] == self._settings and found["entry"].keys() <= names:
+                    self._known[found["target"]] = {key: found[key] for key in ("source", "written", "entry")}
 
 
 def _name(path: Path) -> str:

@@ -30,6 +30,7 @@ class SampleJob(FolderJob):
         out: The folder.
         dataset: Name of the dataset.
         recipe: What is sampled, and the layout's name.
+        known: Numbers of meshes that need not be read if their samples are there.
         workers: Threads that read, and as many that write; by default what the machine has.
         stand_ins: Paths that stand for addresses.
     """
@@ -39,6 +40,7 @@ class SampleJob(FolderJob):
     out: Path
     dataset: str
     recipe: Recipe
+    known: frozenset[int] = frozenset()
     workers: int | None = None
     stand_ins: tuple[StandIn, ...] = ()
 
@@ -54,7 +56,8 @@ class SampleJob(FolderJob):
         """See `SharedJob`."""
         adopt(self.stand_ins)
         layout, where = layout_called(self.recipe.layout, self.dataset), choose_device(device)
-        return FolderSampling(self.sources, self.instances, self.out, layout, self.recipe, where, workers=self.workers)
+        more = {"known": self.known, "workers": self.workers}
+        return FolderSampling(self.sources, self.instances, self.out, layout, self.recipe, where, **more)
 
     def run(
         self,
@@ -86,7 +89,8 @@ def entry_of(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> M
         return MeshEntry(mesh=shown(source), state="failed", reason=reason_of(outcome))
     found = outcome.value
     if found.there:
-        return MeshEntry(mesh=shown(source), state="there already", sign=sign)
+        more = {"triangles": found.triangles, "closed": found.closed}
+        return MeshEntry(mesh=shown(source), state="there already", sign=sign, **more)
     unsure = [f"the flood does not prove the sign of {found.unsure:,} samples"] if found.unsure else []
     return MeshEntry(
         mesh=shown(source),

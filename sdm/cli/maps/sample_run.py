@@ -13,13 +13,15 @@ from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
 from sdm.cli.maps.sample_job import SampleJob, entry_of
+from sdm.cli.maps.sample_journal import SampleJournal
 from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
 from sdm.engine.arguments import Orient, Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
 from sdm.io.files.leftovers import remove_leftovers
 from sdm.io.files.lock import alone
-from sdm.io.files.stand_in import known, shown
+from sdm.io.files.stand_in import known as stand_ins
+from sdm.io.files.stand_in import shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
@@ -147,15 +149,17 @@ def run(
         # Of two at a time the recipe would be that of one, and samples those of both.
         with alone(out):
             recipe.claim(out, [instance.path for instance in instances], parts, resume=resume)
+            journal = SampleJournal(out, out / REPORT, len(sources), resume=resume)
+            known = journal.known
             sampling = FolderSampling(
-                sources, instances, out, layout, recipe, where, parts=parts, workers=workers, times=times
+                sources, instances, out, layout, recipe, where, parts=parts, known=known, workers=workers, times=times
             )
-            with FileProgress(len(sources), times) as progress:
+            with journal, FileProgress(len(sources), times) as progress:
                 progress.begin(sources[0].name)
 
                 def hear(told: Iterable[MeshEntry]) -> None:
                     for entry in told:
-                        entries.append(entry)
+                        entries.append(journal.told(len(entries), entry))
                         progress.end()
                         if len(entries) < len(sources):
                             progress.begin(sources[len(entries)].name)
@@ -173,7 +177,8 @@ def run(
                         dataset=named,
                         recipe=recipe,
                         workers=workers,
-                        stand_ins=known(),
+                        known=known,
+                        stand_ins=stand_ins(),
                     )
                     share_out(job, job.shards, processes, ray, hear, times)
                 else:
@@ -182,9 +187,9 @@ def run(
                 sampling.end([entry.state != "failed" for entry in entries])
                 if resume:
                     remove_leftovers(out)
+                write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
     except OSError as error:
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
-    write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
     done = sum(entry.state != "failed" for entry in entries)
     whose = f"each of {done:,} meshes" if done > 1 else "one mesh" if done else "no mesh"
     print_line(f"{shown(out)}: {recipe.count:,} samples of {whose}, layout {layout_name}")

@@ -169,10 +169,10 @@ def test_a_move_that_was_cut_off(whole, bucket, tmp_path):
 
 
 def test_a_restart_goes_by_the_manifest(meshes, bucket, tmp_path, monkeypatch, capsys):
-    from sdm.cli.maps import map_manifest
+    from sdm.cli.maps import line_file
     from sdm.cli.maps.map_stages import MapStages
 
-    monkeypatch.setattr(map_manifest, "SECONDS", 0.0)
+    monkeypatch.setattr(line_file, "SECONDS", 0.0)
     import fsspec
 
     fsspec.filesystem("s3").put(str(meshes), f"{bucket}/meshes", recursive=True)

@@ -333,6 +333,8 @@ def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
         assert len(np.load(path)["pos"]) > 0
     assert main([*words, str(tmp_path / "d"), "--resume"]) == 0
     assert main([*words, str(tmp_path / "whole")]) == 0
+    told = json.loads((tmp_path / "d" / "report.json").read_text())["meshes"]
+    assert {entry["triangles"] for entry in told} == {len(sdm.load_mesh(source))}
     kept = {name: content for name, content in files(tmp_path / "d").items() if not name.endswith(".part")}
     assert kept == files(tmp_path / "whole")
 

@@ -19,8 +19,9 @@ import pytest
 import trimesh
 
 from sdm.cli import main
+from sdm.cli.maps.line_file import NAME
 from sdm.cli.maps.map_job import MapJob
-from sdm.cli.maps.map_manifest import NAME, MapManifest
+from sdm.cli.maps.map_manifest import MapManifest
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.run import processes_of, run
