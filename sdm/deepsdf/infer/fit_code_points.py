@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,7 +73,14 @@ class _Seen:
         return float(huber.sum()) + self.even.penalty + 0.5 * float(unknowns.away(at).square().sum())
 
 
-def fit_code_points(points: Tensor, backend: DeepSDFBackend, start: State, *, noise: float) -> CodePointFit:
+def fit_code_points(
+    points: Tensor,
+    backend: DeepSDFBackend,
+    start: State,
+    *,
+    noise: float,
+    report: Callable[[str, int], None] | None = None,
+) -> CodePointFit:
     """Fit all numbers of a code, and size and pose again, to points (N,3) float64 of the surface, a few thousand.
 
     Args:
@@ -80,6 +88,7 @@ def fit_code_points(points: Tensor, backend: DeepSDFBackend, start: State, *, no
         backend: The network.
         start: A state of the backend, as a fit of its components leaves it.
         noise: Standard deviation of the points about that.
+        report: Called with "code" and the number of each step.
 
     The maximum of the posterior density under the Gaussian of the training's codes. There are fewer points than numbers
     of a code, so steps are solved for in the points' own space: (J C J' + W^-1) y = r by Cholesky's factors, and the
@@ -93,6 +102,8 @@ def fit_code_points(points: Tensor, backend: DeepSDFBackend, start: State, *, no
     seen = _look(unknowns, at, points)
     while steps < STEPS and not converged:
         steps += 1
+        if report is not None:
+            report("code", steps)
         step, determined = _step(unknowns, at, seen, noise)
         before = seen.objective(unknowns, at, noise)
         for _ in range(HALVED):

@@ -106,19 +106,23 @@ def fit_deepsdf(
     return DeepSDFFit(_judged(values, scaled_grid(grid, factor), backend, result, code), code)
 
 
-def fit_deepsdf_points(points: Any, model: DeepSDF, *, turn: float = 0.5) -> DeepSDFPointFit:
+def fit_deepsdf_points(
+    points: Any, model: DeepSDF, *, turn: float = 0.5, report: Callable[[str, int], None] | None = None
+) -> DeepSDFPointFit:
     """Fit size, code and pose of a DeepSDF to points (N,3) of a surface: as `fit_points`, then by the whole code.
 
     Of more points than a few thousand, which say as much as the network knows, those are taken, at random.
+    `report` is called with the stage's name and the number of each step.
     """
     backend = DeepSDFBackend(model)
     given = torch.as_tensor(points)
     if len(given) > MOST_POINTS:
         order = torch.randperm(len(given), generator=generator(0, "points of a fit"))
         given = given[order[:MOST_POINTS].to(given.device)]
-    found = fit_points(given, backend, turn=turn)
+    found = fit_points(given, backend, turn=turn, report=report)
     at = given.to(model.device, torch.float64)
-    return DeepSDFPointFit(found, fit_code_points(at, backend, found.posterior.state, noise=found.noise))
+    code = fit_code_points(at, backend, found.posterior.state, noise=found.noise, report=report)
+    return DeepSDFPointFit(found, code)
 
 
 def _judged(values: Tensor, grid: Grid, backend: DeepSDFBackend, result: FitResult, code: CodeFit) -> FitResult:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from sdm.fit.model.backend import Backend
 from sdm.fit.model.pose import State, rotation_from_vector
 from sdm.fit.model.prior import Prior
 from sdm.fit.solve.diagnosis import at_ends
+from sdm.fit.solve.point_misfit import shared_distance
 from sdm.fit.solve.posterior import Posterior
 from sdm.runtime.threads import one_thread_for
 from sdm.shapes import Parameter
@@ -38,6 +40,8 @@ class PointFit:
         mean_distance: Mean absolute distance of the points from the shape.
         converged: The last step was far below the posterior's standard deviations.
         steps: Steps from the best of the starts' first ones.
+        misfit: Root mean square of what neighbouring points' distances have alike, in the points' unit; 0 where
+            independent noise explains them.
     """
 
     posterior: Posterior
@@ -45,6 +49,7 @@ class PointFit:
     mean_distance: float
     converged: bool
     steps: int
+    misfit: float = 0.0
 
     def record(self, parameters: Sequence[Parameter], level: float = 0.9) -> dict[str, Any]:
         """Everything as plain numbers, for JSON."""
@@ -65,16 +70,31 @@ class PointFit:
             "mean_distance": self.mean_distance,
             "converged": self.converged,
             "steps": self.steps,
+            "misfit": self.misfit,
             "warnings": self.warnings(parameters),
         }
 
     def warnings(self, parameters: Sequence[Parameter]) -> list[str]:
-        """Sentences about parameters at an end of their ranges, as points of another shape bring them to."""
+        """Sentences about points that the shape does not explain, and parameters at an end of their ranges."""
         values = self.posterior.state.theta.tolist()
-        return at_ends([p.name for p in parameters], values, [p.low for p in parameters], [p.high for p in parameters])
+        names, low, high = [p.name for p in parameters], [p.low for p in parameters], [p.high for p in parameters]
+        found = at_ends(names, values, low, high)
+        if self.misfit > 0:
+            found.append(
+                f"neighbouring points are off the shape alike, by {self.misfit:.3g}, as independent noise is not, so "
+                "the intervals are too narrow: the points may be of no shape of this family, or turned further (--turn)"
+            )
+        return found
 
 
-def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float | None = None) -> PointFit:
+def fit_points(
+    points: Any,
+    backend: Backend,
+    *,
+    turn: float = 0.5,
+    shift: float | None = None,
+    report: Callable[[str, int], None] | None = None,
+) -> PointFit:
     """Fit shape and pose to points (N,3) that lie on the surface, but for noise, and see most of it.
 
     Args:
@@ -83,6 +103,7 @@ def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float
         turn: How far the shape may be turned from its own frame, standard deviation about each axis [rad].
         shift: How far its middle may be from that of the points, standard deviation along each axis; by default a
             quarter of the points' extent.
+        report: Called with the stage's name and the number of each step, first of all with 0.
 
     Returns:
         The best of seven starts. The noise is estimated with the shape; points are taken to be independent, so
@@ -108,24 +129,41 @@ def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float
         s * TURNED * turn * torch.eye(3, device="cpu")[axis] for axis in range(3) for s in (-1.0, 1.0)
     ]
     with one_thread_for(len(given), given.device):
-        best: tuple[float, PointFit] | None = None
-        for vector in turns:
-            rotation = rotation_from_vector(vector.to(given))
-            found = _search(given, backend, prior, State(theta, rotation, middle, pose.centre), extent, FIRST_STEPS)
-            if best is None or found[0] < best[0]:
-                best = found
+        best: tuple[float, State] | None = None
+        for number, vector in enumerate(turns, 1):
+            start = State(theta, rotation_from_vector(vector.to(given)), middle, pose.centre)
+            told = None if report is None else partial(report, f"start {number} of {len(turns)}")
+            objective, fit = _search(given, backend, prior, start, extent, FIRST_STEPS, told)
+            if best is None or objective < best[0]:
+                best = objective, fit.posterior.state
         assert best is not None  # noqa: S101 - there is always a start
-        return _search(given, backend, prior, best[1].posterior.state, extent, STEPS)[1]
+        told = None if report is None else partial(report, "shape and pose")
+        _, fit = _search(given, backend, prior, best[1], extent, STEPS, told)
+        state = fit.posterior.state
+        inside = state.to_shape(given)
+        found = backend.with_derivatives(state.theta, inside)
+        feet = inside - found.values[:, None] * found.by_point
+    return replace(fit, misfit=shared_distance(feet, found.values, fit.noise))
 
 
 def _search(
-    points: Tensor, backend: Backend, prior: Prior, state: State, extent: float, most: int
+    points: Tensor,
+    backend: Backend,
+    prior: Prior,
+    state: State,
+    extent: float,
+    most: int,
+    report: Callable[[int], None] | None,
 ) -> tuple[float, PointFit]:
     """The optimum from one start, and minus its log posterior density."""
+    if report is not None:
+        report(0)
     damping, at = 1e-3, _weighed(*_looked_up(points, backend, state), prior, state, extent)
     converged, steps = False, 0
     while steps < most:
         steps += 1
+        if report is not None:
+            report(steps)
         objective, gradient, curvature, noise, _ = at
         matrix = curvature + damping * curvature.diagonal().diag()
         step = _bounded(matrix, gradient, prior, state)

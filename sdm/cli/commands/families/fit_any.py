@@ -116,6 +116,7 @@ def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
     """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
+    from sdm.cli.common.progress import StageProgress
     from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
     from sdm.errors import SDMError
     from sdm.fit.solve.fit_points import fit_points
@@ -132,7 +133,8 @@ def fit_family_points(
         return
     fitted = shapes_to_fit(name, triangles, device)
     backend = fitted.backend(1.0)
-    fit = fit_points(found, backend, turn=turn)
+    with StageProgress() as progress:
+        fit = fit_points(found, backend, turn=turn, report=progress)
     record = {**fit.record(backend.parameters), "points": len(found)}
     write_json(out, record)
     if not fit.converged:

@@ -55,6 +55,7 @@ def fit_network_points(
     found: Any, points: Path, name: str, out: Path, mesh: Path | None, turn: float, device: str
 ) -> None:
     """Fit a DeepSDF to points (N,3) of a file, and write report and surface."""
+    from sdm.cli.common.progress import StageProgress
     from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
     from sdm.deepsdf import DeepSDF
     from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
@@ -65,7 +66,8 @@ def fit_network_points(
     from sdm.io.meshes.write import save_mesh
 
     model = DeepSDF.load(name, device)
-    fit = fit_deepsdf_points(found, model, turn=turn)
+    with StageProgress() as progress:
+        fit = fit_deepsdf_points(found, model, turn=turn, report=progress)
     backend = DeepSDFBackend(model)
     record = {**fit.components.record(backend.parameters), "points": len(found), "code": fit.code.record()}
     write_json(out, record)
