@@ -8,6 +8,7 @@ function runs, so that help comes at once.
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("sdm: interrupted", file=sys.stderr)
         return 130
+    finally:
+        if arguments is None:
+            # The process ends now. Python would look through all of its objects for garbage before, several times.
+            gc.freeze()
 
 
 def __getattr__(name: str) -> Any:

@@ -35,3 +35,11 @@ def test_nothing_is_imported_in_vain(words, others, tmp_path):
     code = PROGRAM.format(words=words, heavy=(*HEAVY, *others))
     out = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
     assert out.stdout.splitlines()[-1] == "imported:", out.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("given", "frozen"), [("", "True"), ('["--version"]', "False")])
+def test_no_look_for_garbage_at_the_end(given, frozen):
+    """Of a process that is a command, and of no other."""
+    code = f"import gc; from sdm.cli import main; main({given}); print(gc.get_freeze_count() > 0)"
+    command = [sys.executable, "-c", code, "--version"]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[-1] == frozen
