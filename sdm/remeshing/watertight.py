@@ -29,6 +29,9 @@ DEFAULT_OFFSET = 0.505
 # Voxels around the surface, so that it ends before the grid does.
 BORDER = 2
 SMALLEST = 8
+FEWEST_SAMPLES = 1000
+# Offset in lengths of a mesh beyond which its surface is a ball.
+FURTHEST = 10
 
 
 class SurfaceOptions(TypedDict, total=False):
@@ -82,7 +85,8 @@ def watertight(
         offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed and signed, else half a voxel, so
             that sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a
             mesh is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the
-            rim of a sheet, which would be surfaces of their own, are dropped.
+            rim of a sheet, which would be surfaces of their own, are dropped. At most ten times the longest edge of the
+            mesh's box.
         hole_size: Gaps that are narrower than this length are closed, where hidden parts are dropped; by default two
             voxels.
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
@@ -111,6 +115,12 @@ def watertight(
     sign = _sign(closed and agreeing, hidden)
     if sign == "winding":
         mesh = orient_outward(mesh)
+    longest = float(np.ptp(mesh.bounds, axis=0).max())
+    if offset is not None and 0 < FURTHEST * longest < offset:
+        raise SDMError(
+            f"offset is {offset:g}, and {mesh.name} is {longest:.4g} long: so far out every mesh is a ball; give at "
+            f"most {FURTHEST * longest:.4g}, in the mesh's unit"
+        )
     # Without a sign nothing is at a distance of 0 or less.
     exact = closed and sign != "none"
     grid = _grid(mesh, resolution, 0.0 if exact and offset is None else offset)
@@ -131,6 +141,8 @@ def watertight(
     if not return_report:
         return closed_mesh
     there = mesh.to(where)
+    # From far inside a ball all of it is equally near: each of these takes a look at every triangle.
+    inner = min(SAMPLES, max(FEWEST_SAMPLES, round(SAMPLES * (longest / level) ** 2))) if level > 0 else SAMPLES
     return closed_mesh, WatertightReport(
         name=mesh.name,
         triangles=len(mesh),
@@ -142,7 +154,7 @@ def watertight(
         hole_size=gap,
         hidden=hidden,
         output_triangles=len(closed_mesh),
-        input_to_output=deviation(there, closed_mesh, SAMPLES),
+        input_to_output=deviation(there, closed_mesh, inner),
         output_to_input=deviation(closed_mesh, there, SAMPLES),
     )
 

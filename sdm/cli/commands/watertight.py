@@ -49,7 +49,8 @@ def watertight(
         meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them, nested as deep as they are.
         out: File to write (its ending is the format: .ply, .stl, .obj, .off, .glb, .vtk, .vtp), or a folder.
         resolution: Voxels along the longest edge of a mesh's box.
-        offset: Distance of the surface from the mesh, in its unit. From 0.87 voxels on nothing of a mesh is lost.
+        offset: Distance of the surface from the mesh, in its unit, at most ten times the length of the mesh. From 0.87
+            voxels on nothing of a mesh is lost.
         hole_size: With --hidden drop, gaps narrower than this length are closed.
         hidden: drop fills what no way leads into from outside; keep keeps cavities.
         method: cubes (marching cubes), or dual (dual contouring), which keeps edges and corners sharp.

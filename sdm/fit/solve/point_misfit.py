@@ -38,7 +38,7 @@ def shared_distance(feet: Tensor, distances: Tensor, noise: float) -> float:
     own: np.ndarray = distances.double().cpu().numpy()[first]
     most = 2.5 * noise
     own = own.clip(-most, most)
-    nearest = KDTree(places).query(places, k=2)[1][:, 1]
+    nearest = np.asarray(KDTree(places).query(places, k=2)[1])[:, 1]
     shared, all_of_it = float((own * own[nearest]).mean()), float((own**2).mean())
     alone = math.sqrt(max(all_of_it - shared, 0.0))
     found = math.sqrt(max(shared, 0.0))

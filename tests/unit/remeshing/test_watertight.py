@@ -186,12 +186,23 @@ def test_bands_give_the_surface_of_the_map(case, monkeypatch):
     assert torch.equal(banded.vertices, dense.vertices)
 
 
+def test_of_a_mesh_far_inside_its_surface_fewer_points_are_taken():
+    """All of that surface is nearly as far from each of them, so that each would look at every triangle."""
+    mesh = joined(half())
+    reports = [sdm.watertight(mesh, 20, offset=offset, return_report=True)[1] for offset in (0.1, 15.0)]
+    near, far = (report.input_to_output for report in reports)
+    assert far.points < near.points / 10
+    assert far.largest == pytest.approx(15, rel=0.01)
+
+
 def test_options_that_make_no_sense():
     mesh = joined(half())
     with pytest.raises(SDMError, match="use 'drop' or 'keep'"):
         sdm.watertight(mesh, 20, hidden="lose")
     with pytest.raises(SDMError, match="offset is -1"):
         sdm.watertight(mesh, 20, offset=-1)
+    with pytest.raises(SDMError, match=r"so far out every mesh is a ball; give at most [0-9.]+, in the mesh's unit"):
+        sdm.watertight(mesh, 20, offset=1e9)
     with pytest.raises(SDMError, match="hole_size is -1"):
         sdm.watertight(mesh, 20, hole_size=-1)
     with pytest.raises(SDMError, match="hole_size is the width of gaps"):
