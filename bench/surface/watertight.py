@@ -114,7 +114,7 @@ begin = time.perf_counter()
 from sdm.cli.app import main
 with contextlib.redirect_stdout(io.StringIO()):
     main([sys.argv[2], "--help"])
-from sdm.cli.common import early_device
+from sdm.runtime import early_device
 early_device.begin(sys.argv[sys.argv.index("--device") + 1])
 import sdm.kernels.flood.flood_signs
 import sdm.cli.surfaces.closing

@@ -25,9 +25,9 @@ from sdm.io.files.stand_in import known, moved
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.sharing.devices import device_kind, devices_for
 from sdm.runtime.sharing.folder_job import ShardTold, this_process
+from sdm.runtime.sharing.process_count import processes_for
 from sdm.runtime.sharing.processes import run_here
 from sdm.runtime.sharing.ray_cluster import run_on_ray
-from sdm.runtime.sharing.share_out import processes_for
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler, sample_maker
 from sdm.stream.sample_maker import Maker

@@ -102,90 +102,101 @@ def compute(
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
-    from sdm.cli.common.inputs import refuse_inputs, refuse_twice
-    from sdm.cli.common.output_files import plan
-    from sdm.cli.maps.map_settings import Settings
-    from sdm.cli.maps.run import run
-    from sdm.core.device import choose_device
-    from sdm.engine.arguments import SignMethod
-    from sdm.errors import GridError, MeshError
-    from sdm.io import grid_like as read_grid
-    from sdm.io.maps.formats import check_file, is_map_name
-    from sdm.io.maps.save_and_load import is_placed
-    from sdm.runtime.sharing.devices import devices_for
+    from sdm.cli.common.imports_that_stay import imports_that_stay
+    from sdm.cli.maps.map_sharing import early_processes
+    from sdm.runtime import early_device
 
-    SignMethod(sign, hole_size)
-    given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
-    both = [name for name, value in given.items() if value is not None]
-    if len(both) > 1:
-        raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
-    for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
-        if values is not None and len(values) not in (1, 3):
-            raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
-    if margin is not None and grid_like is not None:
-        raise GridError("--margin is room around the mesh, and --grid-like says where the grid is: give one of them")
-    if len(meshes) == 1 and is_map_name(meshes[0]):
-        if both:
-            raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
-        from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
+    # A cluster has its own.
+    with early_processes(meshes if ray is None else [], device, resolution, out if resume else None) as others:
+        with imports_that_stay():
+            if ray is None:
+                early_device.begin(device)
+            from sdm.cli.common.inputs import refuse_inputs, refuse_twice
+            from sdm.cli.common.output_files import plan
+            from sdm.cli.maps.map_settings import Settings
+            from sdm.cli.maps.run import run
+            from sdm.core.device import choose_device
+            from sdm.engine.arguments import SignMethod
+            from sdm.errors import GridError, MeshError
+            from sdm.io import grid_like as read_grid
+            from sdm.io.maps.formats import check_file, is_map_name
+            from sdm.io.maps.save_and_load import is_placed
+            from sdm.runtime.sharing.devices import devices_for
 
-        asked = {
-            "--sign flood": sign == "flood",
-            "--orient": orient != "keep",
-            "--hole-size": hole_size is not None,
-            "--margin": margin is not None,
-            "--format": format is not None,
-            "--scale": scale != 1,
-            "--mesh-space": mesh_space != "ras",
-            "--normalize": normalize is not None,
-            "--dtype": dtype != "float32",
-            "--truncate": truncate is not None,
-            "--band": band is not None,
-            "--resume": resume,
-            "--skip-bad": skip_bad,
-            "--report": report is not None,
-            "--ray": ray is not None,
-        }
-        refuse_mesh_options(meshes[0], [name for name, is_given in asked.items() if is_given])
-        write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
-        return None
-    if not (math.isfinite(scale) and scale > 0):
-        raise MeshError(f"--scale is {scale:g}: give a positive number to multiply the vertices by")
-    settings = Settings(
-        resolution=resolution[0] if resolution is not None and len(resolution) == 1 else resolution,
-        spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
-        like=None if grid_like is None else read_grid(grid_like),
-        like_image=grid_like,
-        margin=0.05 if margin is None else margin,
-        device=choose_device(device),
-        orient=orient,
-        sign=sign,
-        hole_size=hole_size,
-        scale=scale,
-        mesh_space=mesh_space,
-        normalize=normalize,
-        dtype=dtype,
-        truncate=truncate,
-        band=band,
-        resume=resume,
-    )
-    if grid_like is not None and not is_placed(grid_like):
-        print_line(
-            f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
-            "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
-            error=True,
+        SignMethod(sign, hole_size)
+        given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
+        both = [name for name, value in given.items() if value is not None]
+        if len(both) > 1:
+            raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
+        for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
+            if values is not None and len(values) not in (1, 3):
+                raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
+        if margin is not None and grid_like is not None:
+            raise GridError(
+                "--margin is room around the mesh, and --grid-like says where the grid is: give one of them"
+            )
+        if len(meshes) == 1 and is_map_name(meshes[0]):
+            if both:
+                raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
+            from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
+
+            asked = {
+                "--sign flood": sign == "flood",
+                "--orient": orient != "keep",
+                "--hole-size": hole_size is not None,
+                "--margin": margin is not None,
+                "--format": format is not None,
+                "--scale": scale != 1,
+                "--mesh-space": mesh_space != "ras",
+                "--normalize": normalize is not None,
+                "--dtype": dtype != "float32",
+                "--truncate": truncate is not None,
+                "--band": band is not None,
+                "--resume": resume,
+                "--skip-bad": skip_bad,
+                "--report": report is not None,
+                "--ray": ray is not None,
+            }
+            refuse_mesh_options(meshes[0], [name for name, is_given in asked.items() if is_given])
+            write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
+            return None
+        if not (math.isfinite(scale) and scale > 0):
+            raise MeshError(f"--scale is {scale:g}: give a positive number to multiply the vertices by")
+        settings = Settings(
+            resolution=resolution[0] if resolution is not None and len(resolution) == 1 else resolution,
+            spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
+            like=None if grid_like is None else read_grid(grid_like),
+            like_image=grid_like,
+            margin=0.05 if margin is None else margin,
+            device=choose_device(device),
+            orient=orient,
+            sign=sign,
+            hole_size=hole_size,
+            scale=scale,
+            mesh_space=mesh_space,
+            normalize=normalize,
+            dtype=dtype,
+            truncate=truncate,
+            band=band,
+            resume=resume,
         )
-    jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
-    # All files of a folder have one format.
-    settings.check_format(jobs[0][1])
-    # A map that is there already is skipped by --resume, and so may give the grid of the others.
-    like = None if resume else grid_like
-    folder = out if out.is_dir() and not is_map_name(out) else None
-    if report is None and skip_bad and folder is not None:
-        report = folder / REPORT
-    refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
-    if report is not None:
-        refuse_twice(report, (target for _, target in jobs))
-        check_file(report)
-    where = {"devices": devices_for(device), "ray": ray, "folder": folder}
-    return run(jobs, settings, report=report, skip_bad=skip_bad, **where)
+        if grid_like is not None and not is_placed(grid_like):
+            print_line(
+                f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
+                "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
+                error=True,
+            )
+        jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
+        # All files of a folder have one format.
+        settings.check_format(jobs[0][1])
+        # A map that is there already is skipped by --resume, and so may give the grid of the others.
+        like = None if resume else grid_like
+        folder = out if out.is_dir() and not is_map_name(out) else None
+        if report is None and skip_bad and folder is not None:
+            report = folder / REPORT
+        refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
+        if report is not None:
+            refuse_twice(report, (target for _, target in jobs))
+            check_file(report)
+        where = {"devices": devices_for(device), "ray": ray, "folder": folder}
+        return run(jobs, settings, report=report, skip_bad=skip_bad, others=others, **where)

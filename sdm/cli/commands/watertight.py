@@ -62,7 +62,7 @@ def watertight(
             one GPU makes all.
         ray: Share the meshes among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
     """
-    from sdm.cli.common import early_device
+    from sdm.runtime import early_device
 
     if len(meshes) == 1 and meshes[0].is_file() and ray is None:
         early_device.begin(device)

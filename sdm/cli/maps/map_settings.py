@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.cli.maps.map_sharing import DEFAULT_RESOLUTION
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
@@ -22,7 +23,6 @@ from sdm.io.maps.formats import check_normalized
 from sdm.io.maps.half_precision import require_half_range
 from sdm.shapes.family import check_resolution
 
-DEFAULT_RESOLUTION = 128
 # Formats that have half precision, by their endings.
 WITH_HALF = ("npz", "zarr")
 

@@ -13,7 +13,8 @@ from torch import Tensor
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.maps.map_readers import MapReaders
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.map_writers import LARGEST_BESIDE, MapWriters
+from sdm.cli.maps.map_sharing import LARGEST_BESIDE
+from sdm.cli.maps.map_writers import MapWriters
 from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid

@@ -11,6 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.map_sharing import LARGEST_BESIDE
 from sdm.cli.maps.work import MapTask
 from sdm.io.files.stand_in import known
 from sdm.io.maps.formats import format_of
@@ -25,8 +26,6 @@ from sdm.runtime.worker_processes.shared_memory import can_share
 T = TypeVar("T")
 # Cores and maps for which it is worth starting processes.
 LEAST_CORES, LEAST_MAPS = 4, 32
-# A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
-LARGEST_BESIDE = 1 << 28
 
 
 class MapWriters:

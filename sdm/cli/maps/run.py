@@ -11,17 +11,16 @@ from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
 from sdm.cli.maps.map_manifest import MapManifest
 from sdm.cli.maps.map_readers import reading_processes
-from sdm.cli.maps.map_settings import DEFAULT_RESOLUTION, Settings
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.map_sharing import DEFAULT_RESOLUTION, processes_sharing
 from sdm.cli.maps.map_told import tasks_of
-from sdm.cli.maps.map_writers import LARGEST_BESIDE, writing_processes
+from sdm.cli.maps.map_writers import writing_processes
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.io.files.leftovers import remove_leftovers_of
 from sdm.io.files.stand_in import known
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
-
-# About what one process of an H100's host takes for a mesh and its map on a disk: 100 to 150 a second of 128^3.
-SECONDS_OF_A_MESH, BYTES_A_SECOND = 3e-3, 2e9
+from sdm.runtime.sharing.processes import OtherProcesses
+from sdm.runtime.sharing.share_out import shard_size, share_out
 
 
 def run(
@@ -36,6 +35,7 @@ def run(
     processes: list[str] | None = None,
     ray: str | None = None,
     folder: Path | None = None,
+    others: OtherProcesses | None = None,
 ) -> int | None:
     """Compute the map of each mesh into its file.
 
@@ -50,6 +50,7 @@ def run(
         processes: The device of each process that takes part; by default as `processes_of` says of these devices.
         ray: Address of a Ray cluster whose devices share them.
         folder: Where maps go, if they go to a folder: its manifest says what is done until all is.
+        others: Processes that have been started already, to be among those that take part.
 
     Returns:
         2 if some of several meshes failed, which is then said on stderr; None if none did, or they are to be skipped.
@@ -69,7 +70,7 @@ def run(
             each = 1 if ray is not None else len(processes) // len(set(processes))
             more: dict[str, Any] = {"workers": workers, "processes": each, "stand_ins": known()}
             job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, **more)
-            share_out(job, job.shards, processes, ray, account.hear, times)
+            share_out(job, job.shards, processes, ray, account.hear, times, others)
         elif wanted:
             account.hear(
                 maps_told(
@@ -94,12 +95,10 @@ def run(
 
 
 def processes_of(meshes: int, settings: Settings, devices: list[str] | None) -> list[str]:
-    """The device of each process that makes maps: see `processes_for`."""
+    """The device of each process that makes maps: see `processes_sharing`."""
     if devices is None:
         return [str(settings.device)]
-    voxels = settings.voxels or DEFAULT_RESOLUTION**3
-    seconds = meshes * (SECONDS_OF_A_MESH + 4 * voxels / BYTES_A_SECOND)
-    return processes_for(devices, seconds, several=4 * voxels <= LARGEST_BESIDE)
+    return processes_sharing(meshes, settings.voxels or DEFAULT_RESOLUTION**3, devices)
 
 
 def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:

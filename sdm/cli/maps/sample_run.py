@@ -24,7 +24,8 @@ from sdm.io.files.stand_in import known as stand_ins
 from sdm.io.files.stand_in import shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
+from sdm.runtime.sharing.process_count import processes_for
+from sdm.runtime.sharing.share_out import shard_size, share_out
 from sdm.sampling.law import PAPER, RELEASED, SampleLaw
 from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import Instance, instances_of

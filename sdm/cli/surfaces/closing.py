@@ -24,7 +24,8 @@ from sdm.io.maps.formats import check_file
 from sdm.io.meshes.write import WRITERS, ending_to_write
 from sdm.remeshing import WatertightReport
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.share_out import processes_for, share_out
+from sdm.runtime.sharing.process_count import processes_for
+from sdm.runtime.sharing.share_out import share_out
 
 DEFAULT_ENDING = "ply"
 # Meshes of a shard, each of which takes long. About what one takes of a GPU and its host.

@@ -114,7 +114,7 @@ def test_workers_share_the_meshes(roof, tmp_path, capsys, monkeypatch):
     assert main([*words, str(tmp_path / "one")]) == 0
     alone, shared = capsys.readouterr().out, []
 
-    def by_turns(job, shards, devices, done):
+    def by_turns(job, shards, devices, done, **_):
         shared.append(len(shards))
         makers = [job.maker(device) for device in devices]
         # As processes would that end in another order.

@@ -26,7 +26,7 @@ from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.run import processes_of, run
 from sdm.errors import SDMError
-from sdm.runtime.sharing import share_out
+from sdm.runtime.sharing import process_count
 from sdm.runtime.sharing.share_out import shard_size
 from tests.helpers.map_settings import map_settings
 
@@ -58,7 +58,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def test_two_processes_make_what_one_makes(folder, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr("sdm.cli.maps.run.processes_for", lambda devices, *_, **__: devices)
+    monkeypatch.setattr("sdm.cli.maps.map_sharing.processes_for", lambda devices, *_, **__: devices)
     lines, found, reports = [], [], []
     for name, devices in (("one", ["cpu"]), ("two", ["cpu", "cpu"])):
         out = tmp_path / name
@@ -89,11 +89,13 @@ import time
 from pathlib import Path
 
 from sdm.cli import main
-from sdm.cli.maps import run
+from sdm.cli.maps import map_sharing, run
 from sdm.cli.maps.map_stages import MapStages
 from sdm.runtime.sharing import devices
 
-run.processes_for, devices.devices_for = lambda devices, *_, **__: devices, lambda _: ["cpu", "cpu"]
+map_sharing.processes_for, devices.devices_for = lambda devices, *_, **__: devices, lambda _: ["cpu", "cpu"]
+# The second one is started before torch is imported.
+map_sharing.gpus_expected = devices.devices_for
 run.shard_size = lambda *_: 1
 measure, seen, wanted = MapStages.measure, Path(os.environ["SEEN"]), int(os.environ["WANTED"])
 
@@ -249,7 +251,7 @@ def test_what_a_machine_of_a_cluster_does_not_see(folder, tmp_path):
 
 
 def test_who_shares_the_work(monkeypatch):
-    monkeypatch.setattr(share_out, "cores", lambda: 32)
+    monkeypatch.setattr(process_count, "cores", lambda: 32)
     two = ["cuda:0", "cuda:1"]
     # One has ended when others would have started.
     assert processes_of(1200, map_settings(128), two) == ["cuda:0"]
@@ -260,12 +262,13 @@ def test_who_shares_the_work(monkeypatch):
     assert processes_of(100_000, map_settings(128), None) == ["cpu"]
     four = [f"cuda:{n}" for n in range(4)]
     assert processes_of(20_000, map_settings(128), four) == four * 2
-    monkeypatch.setattr(share_out, "cores", lambda: 2)
+    monkeypatch.setattr(process_count, "cores", lambda: 2)
     assert processes_of(100_000, map_settings(128), two) == two
 
 
 def test_sizes_of_shards():
     assert shard_size(20, 2) == 8
-    assert shard_size(1000, 2) == 56
+    assert shard_size(1000, 2) == 8
+    assert shard_size(2400, 4) == 16
     assert shard_size(10_000_000, 8) == 64
     assert shard_size(1000, 0) == 8

@@ -43,7 +43,7 @@ def test_workers_share_the_meshes(layout, folder, tmp_path, monkeypatch):
     monkeypatch.setattr("sdm.cli.maps.sample_run.processes_for", lambda devices, *_, **__: devices)
     shared = []
 
-    def by_turns(job, shards, devices, done):
+    def by_turns(job, shards, devices, done, **_):
         shared.append((len(shards), job.each))
         makers = [job.maker(device) for device in devices]
         # As processes would that end in another order.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.cli.common import early_device
+from sdm.runtime import early_device
 
 
 def test_a_cpu_needs_nothing():

@@ -1,0 +1,19 @@
+"""Imports of a command without looks for garbage among what they make."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def imports_that_stay() -> Iterator[None]:
+    """Look for no garbage in the block: torch, Warp and kernels make half a million objects, and all of them stay."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
