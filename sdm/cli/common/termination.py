@@ -16,13 +16,18 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def raised_termination() -> Iterator[None]:
-    """SIGTERM raises `Terminated` in the block, where it would have ended the process at once."""
-    own = os.getpid()
+    """SIGTERM raises `Terminated` in the block, where it would have ended the process at once.
+
+    A library may raise a plain `KeyboardInterrupt` in its place, as Ray does: out of the block comes `Terminated`.
+    """
+    own, came = os.getpid(), False
 
     def end(number: int, frame: Any) -> None:
+        nonlocal came
         if os.getpid() != own:
             # A fork, which has no more to say than that.
             os._exit(128 + number)
+        came = True
         raise Terminated
 
     # What somebody else has arranged, and what is ignored, stays so.
@@ -32,5 +37,9 @@ def raised_termination() -> Iterator[None]:
     signal.signal(signal.SIGTERM, end)
     try:
         yield
+    except KeyboardInterrupt as error:
+        if came and not isinstance(error, Terminated):
+            raise Terminated from error
+        raise
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

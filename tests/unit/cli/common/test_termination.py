@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -37,6 +38,19 @@ def test_a_command_that_is_terminated(tmp_path):
     )
     assert (done.returncode, done.stderr) == (143, "sdm: terminated\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_library_may_make_an_interrupt_of_it(monkeypatch, capsys):
+    """Ray's native calls, in which the signal comes, raise a plain `KeyboardInterrupt`."""
+
+    def wait() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "_parse", lambda words: wait)
+    assert main(["x"]) == 143
+    assert capsys.readouterr().err == "sdm: terminated\n"
 
 
 def test_the_signal_is_what_it_was_afterwards(monkeypatch):
