@@ -37,6 +37,7 @@ from sdm.kernels.winding.looks.count_places import (
 )
 from sdm.kernels.winding.looks.records import new_records
 from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful
+from sdm.kernels.winding.rims.edges_once import edges_once
 from sdm.kernels.winding.rims.rim_voxels import sum_rims
 from sdm.kernels.winding.rims.strip_looks import SEERS, SETTLERS, see_strips, settle_strips
 
@@ -74,6 +75,7 @@ def open_edges(
     kind = "cuda" if device.is_cuda else "cpu"
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
+    once, times = edges_once(boundary, meshes, empty)
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
     bits = BOX_BITS[kind]
     if device.is_cuda and values.size >> (3 * bits) < FEWEST * workers:
@@ -93,7 +95,7 @@ def open_edges(
         level = BITS.index(size)
         at, after = STRIDE * level, STRIDE * (level + 1)
         length = at + LENGTH if parted and not halved else -1
-        part = [tree, boundary, slab, size]
+        part = [tree, once, times, slab, size]
         for first in range(0, number, MOST_RECORDS):
             if first > 0:
                 counts[at + NEXT : at + NEXT + 1].zero_()
@@ -106,7 +108,8 @@ def open_edges(
             inputs += [counts, lanes, values]
             launch(settle_strips, settlers * lanes, inputs, device, smallest=1)
     at, after = STRIDE * level, STRIDE * (level + 1)
-    inputs = [tree, boundary, slab, workers, voxels, UNSURE, STRIDE * ALONE + LOOKED, EXACT, counts, lanes, values]
+    inputs = [tree, boundary, once, times, slab, workers, voxels, UNSURE, STRIDE * ALONE + LOOKED, EXACT]
+    inputs += [counts, lanes, values]
     launch(sum_rims, workers * lanes, inputs, device, smallest=1)
     inputs = [tree, boundary, caps, 1, slab, bits, cells, workers if device.is_cuda else 0, *left]
     inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, lanes, values]

@@ -24,6 +24,8 @@ def sum_rims(
     begin: int,
     tree: Tree,
     boundary: Boundary,
+    once: Boundary,
+    times: wp.array(dtype=wp.int32),
     slab: Slab,
     groups: int,
     voxels: wp.array(dtype=wp.int32),
@@ -36,8 +38,8 @@ def sum_rims(
 ):
     """Open the voxels of a list, whose values are the crossings of the surface alone: each group every `groups`-th.
 
-    `listed`, `looked` and `exact` are places of the counts: how many there are, if there was room for them, how many
-    were looked at, and how many in float64.
+    `once` and `times` are those of `edges_once`, for sums in float32. `listed`, `looked` and `exact` are places of the
+    counts: how many there are, if there was room for them, how many were looked at, and how many in float64.
     """
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -46,7 +48,7 @@ def sum_rims(
         mesh, v = unravel(voxels[item], slab.shape)
         p = place_of_voxel(tree, slab, mesh, v)
         whole = values[mesh, v[0], v[1], v[2]]
-        found = rim_part(boundary, mesh, wp.vec3(p), lane, lanes)
+        found = float(times[0]) * rim_part(once, mesh, wp.vec3(p), lane, lanes)
         winding = whole + sum_of_lanes(found[0])
         sure = is_sure(winding, whole, sum_of_lanes(found[1]))
         if not sure:

@@ -123,6 +123,7 @@ def see_strips(
     begin: int,
     tree: Tree,
     boundary: Boundary,
+    times: wp.array(dtype=wp.int32),
     slab: Slab,
     bits: int,
     tolerance: float,
@@ -141,9 +142,9 @@ def see_strips(
 ):
     """Record what boxes of 2^bits voxels along each edge, `cells` along each axis, are near, and the field of the rest.
 
-    From the first box to before the last one, of all, or of those in a list (`some_of`). Those of which too little is
-    known, or to which more than `most_near` edges are near, have a negative number of these. `next_item` and
-    `recorded` are places of the counts: of boxes, and of near edges.
+    From the first box to before the last one, of all, or of those in a list (`some_of`). Each edge counts `times` times
+    (`edges_once`). Boxes of which too little is known, or to which more than `most_near` edges are near, have a
+    negative number of these. `next_item` and `recorded` are places of the counts: of boxes, and of near edges.
     """
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -158,6 +159,10 @@ def see_strips(
             boundary.ends, mesh * boundary.count, edges_of(boundary), c, wp.length(half), half, tolerance, stack, 0,
             room, room, room_across, lane, lanes,
         )  # fmt: skip
+        often = float(times[0])
+        for k in range(STEPS):
+            if k != NEAR and k != ACROSS_BOX:
+                look[k] = often * look[k]
         field = field_of(look, lanes)
         near = int(look[NEAR])
         across = int(look[ACROSS_BOX])
@@ -189,6 +194,7 @@ def settle_strips(
     begin: int,
     tree: Tree,
     boundary: Boundary,
+    times: wp.array(dtype=wp.int32),
     slab: Slab,
     bits: int,
     parted: int,
@@ -277,6 +283,7 @@ def settle_strips(
                 )
             # Once more, as registers are few.
             field = read_field(records, slot)
+            often = float(times[0])
             for k in range(8):
                 if k < together:
                     whole = wholes[k]
@@ -287,8 +294,8 @@ def settle_strips(
                         share = middle
                         wrong = error + change
                         if not plain:
-                            share = share_at(field, wp.vec3(xs[k], ys[k], zs[k]) - c) + found[k]
-                            wrong = error + found[8 + k]
+                            share = share_at(field, wp.vec3(xs[k], ys[k], zs[k]) - c) + often * found[k]
+                            wrong = error + often * found[8 + k]
                         unsure = not is_sure(whole + share, whole, wrong)
                         if not unsure:
                             values[mesh, v[0], v[1], v[2]] = opened(whole + share)
