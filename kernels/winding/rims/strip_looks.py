@@ -152,14 +152,14 @@ def see_strips(
     room = wp.where(on_cpu(), _ROOM_ON_CPU, _ROOM_ON_GPU)
     room_across = wp.where(on_cpu(), LARGE_STACK_ON_CPU - _ROOM_ON_CPU, LARGE_STACK - _ROOM_ON_GPU)
     total = some_of(counts, listed, first, last)
+    often = float(times[0])
     slot = fetch_add_once(counts, next_item, 1, lane)
     while slot < total:
         mesh, c, half = centre_of(tree, slab, bits, cells, box_at(boxes, listed, first + slot))
         look = look_at_edges(
-            boundary.ends, mesh * boundary.count, edges_of(boundary), c, wp.length(half), half, tolerance, stack, 0,
-            room, room, room_across, lane, lanes,
+            boundary.ends, mesh * boundary.count, edges_of(boundary), c, wp.length(half), half, tolerance / often,
+            stack, 0, room, room, room_across, lane, lanes,
         )  # fmt: skip
-        often = float(times[0])
         for k in range(STEPS):
             if k != NEAR and k != ACROSS_BOX:
                 look[k] = often * look[k]
