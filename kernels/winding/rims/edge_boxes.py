@@ -45,8 +45,8 @@ from sdm.kernels.winding.rims.strip_looks import SEERS, SETTLERS, see_strips, se
 # sheets and open boxes, whose caps are as large as they are, and so near for most boxes. Others are opened by caps.
 MOST_EDGES = {"cuda": 2000, "cpu": 2000}
 FACES_AN_EDGE = {"cuda": (0.5, 5), "cpu": (0.5, 6)}
-# What an edge's polynomial may leave out of the solid angle.
-TOLERANCES = {"cuda": 3e-3, "cpu": 6e-3}
+# What an edge's polynomial may leave out of the solid angle, for as often as it counts.
+TOLERANCES = {"cuda": 1e-2, "cpu": 6e-3}
 # Voxels in doubt are listed, as long as there is room: for one of so many of a map, and for so many.
 VOXELS_OF, LEAST_VOXELS = 32, 1 << 14
 # Boxes that are recorded at a time, at most, and room for near edges of each, with those across.
