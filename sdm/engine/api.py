@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.device import SMALL, choose_device, memory_guard
+from sdm.core.device import SHARE_UNASKED, SMALL, choose_device, memory_guard, total_memory
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
@@ -171,7 +171,9 @@ def _plain_map(mesh: TriangleMesh, grid: Grid, device: str | torch.device | None
     vertices, faces = mesh.vertices, mesh.faces
     x, y, z = grid.shape
     nbytes = 4 * x * y * z
-    if nbytes > SMALL or has_forward_mode() or not graphs.supports(vertices):
+    if has_forward_mode() or not graphs.supports(vertices):
+        return None
+    if nbytes > SMALL and nbytes > min(maps.LARGEST_RECORDED, total_memory(vertices.device) // SHARE_UNASKED):
         return None
     # "cuda" is the current one. To compare a name with a device takes the host longer than to ask for its number.
     index = vertices.get_device()

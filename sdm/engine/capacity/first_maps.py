@@ -55,7 +55,8 @@ def class_map(
     count, total, device = vertices.shape[0], faces.shape[0], faces.device
     given: Given = vertices.contiguous(), faces.contiguous(), grid, count, total, device
     about = kind, decisions, given
-    edges = min(2 * count - total, LARGEST_ROOM)
+    last = guesses.last_numbers(faces, count) or guesses.CLOSED
+    edges = min(2 * count - total if last is guesses.CLOSED else max(last), LARGEST_ROOM)
 
     def attempt(room: int) -> tuple[T, Callable[[], int] | None] | list[int]:
         launched = partial(while_at_work, faces, count, make)

@@ -114,12 +114,16 @@ def ready_map(
     if not 0 < total <= LARGEST or grid.direction is not IDENTITY or not x == y == z:
         return None, None
     ready = _ready.get((index, MOSTS[bisect_left(MOSTS, total)], grid.shape))
-    if ready is None or id(faces) in face_pairing.known or (total, count) in guesses.last_open:
+    last = guesses.last_open.get((total, count), guesses.CLOSED)
+    if ready is None or last is None or id(faces) in face_pairing.known:
         return None, None
     most, every, rooms, recordings = ready
     room = 0
-    if not looks_closed(total, count):
-        edges = min(2 * count - total, LARGEST_ROOM)
+    if last is not guesses.CLOSED or not looks_closed(total, count):
+        edges = min(2 * count - total, LARGEST_ROOM) if last is guesses.CLOSED else max(last)
+        if edges > min(total, LARGEST_ROOM):
+            # None has room, or the faces would be fewer caps.
+            return None, None
         for room in rooms:
             if TOO_FEW.get(room, -1) < edges <= room:
                 break

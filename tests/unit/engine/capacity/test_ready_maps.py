@@ -103,6 +103,24 @@ def test_open_meshes(launches):
     assert [about > 0 for about in launches] == [False, True, True]
 
 
+def test_open_meshes_of_counts_seen_before(launches):
+    vertices, faces = torn(_splits(0), 0.05)
+    for number in range(3):
+        _same(_mesh(vertices + np.float32(0.001 * number), faces))
+    assert [about > 0 for about in launches] == [False, True, True]
+
+
+def test_many_edges_of_counts_seen_before_go_the_usual_way(launches):
+    """Of more edges than faces these are the caps."""
+    vertices, faces = _splits(0)
+    faces = faces.copy()
+    faces[::2] = faces[::2, ::-1]
+    for number in range(3):
+        _same(_mesh(vertices + np.float32(0.001 * number), faces))
+    assert guesses.last_open[len(faces), len(vertices)].boundary > len(faces)
+    assert not any(launches)
+
+
 def test_faces_that_do_not_agree_are_found_out_and_go_on(launches):
     vertices, faces = _splits(0)
     _same(_mesh(vertices, faces))
