@@ -74,14 +74,14 @@ def fresh(case: Case, device: str) -> sdm.TriangleMesh:
     return sdm.TriangleMesh(vertices, faces, case.name, check=False)
 
 
-def row(case: Case, device: str, resolution: int, variants: int, runs: int) -> dict[str, Any]:
-    """The figures of one mesh on one grid."""
+def row(case: Case, device: str, resolution: int, variants: int, runs: int, split_before: int = 0) -> dict[str, Any]:
+    """The figures of one mesh on one grid, of meshes with more than `split_before` of its faces split."""
     grid = cube_around(case, resolution)
     graphs.clear()
     firsts, last = [], case
     values = torch.empty(0)
     for number in range(1 + variants):
-        last = split(case, FEWEST_SPLIT + number)
+        last = split(case, split_before + FEWEST_SPLIT + number)
         mesh = fresh(last, device)
         ms, us, field = timed(lambda mesh=mesh: sdm.signed_distance_map(mesh, grid, device=device), device)
         firsts.append((ms, us))
@@ -154,8 +154,10 @@ def main() -> None:
         case = load_case(name)
         # Kernels are loaded, and memory is taken.
         sdm.signed_distance_map(fresh(split(case, FEWEST_SPLIT - 1), given.device), given.resolutions[0])
-        for resolution in given.resolutions:
-            found = row(case, given.device, resolution, given.variants, given.runs)
+        for number, resolution in enumerate(given.resolutions):
+            # At each with counts that were not seen at another one, either.
+            seen = number * (1 + given.variants)
+            found = row(case, given.device, resolution, given.variants, given.runs, seen)
             print(
                 f"{name:20}{resolution:>8}^3"
                 f"{found['first_ms']:>10.3f}{found['first_host_us']:>10.0f}"
