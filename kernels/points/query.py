@@ -250,7 +250,7 @@ def query_points(
     empty: Callable[[int, Any], wp.array],
     plan: PointsPlan,
     meshes: wp.array | None = None,
-) -> None:
+) -> Packets:
     """Signed distances, and closest points, faces and barycentric coordinates if `hits` has room for them.
 
     Args:
@@ -267,6 +267,9 @@ def query_points(
         empty: Allocates workspace: `empty(length, dtype)`.
         plan: Decisions about the query; distances are exact whatever they are.
         meshes: (packets,) where meshes differ, that of each packet.
+
+    Returns:
+        The packets, in memory of `empty`.
     """
     count, device = points.shape[0] if meshes is None else order.shape[0], points.device
     lanes = GPU_LANES if device.is_cuda else 1
@@ -277,8 +280,7 @@ def query_points(
     packets.witnesses = empty(4 * packets.count, wp.float32)
     packets.nearest = empty(packets.count, wp.int32)
     packets.hints = empty(packets.count, wp.int32)
-    workers = gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 2 * threads()
-    workers = min(workers, packets.count if device.is_cuda or plan.lists else -(-packets.count // PACKETS_OF_THREAD))
+    workers = workers_for(packets, plan, device)
     scratch = empty(workers * SCRATCH, wp.int32)
     packets.counts = empty(COUNTS, wp.int32)
     packets.counts.zero_()
@@ -298,6 +300,13 @@ def query_points(
     launch(_query, -(-count // plan.run), inputs, device, smallest=16)
     if hits is not None:
         name_faces(tree, points, order, packets, wanted)
+    return packets
+
+
+def workers_for(packets: Packets, plan: PointsPlan, device: Any) -> int:
+    """Groups of lanes that take packets one after the other."""
+    workers = gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 2 * threads()
+    return min(workers, packets.count if device.is_cuda or plan.lists else -(-packets.count // PACKETS_OF_THREAD))
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array) -> None:

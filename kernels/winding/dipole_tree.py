@@ -51,12 +51,10 @@ def write_moments(
     moments[at + 4] = float(area)
 
 
-@wp.kernel
-def _leaf_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32)):
-    i = begin + wp.tid()
+@wp.func
+def make_leaf(tree: Tree, mesh: int, leaf: int, moments: wp.array(dtype=wp.float32)):
+    """Write the moments of a leaf from its triangles."""
     leaves = 1 << tree.depth
-    mesh = i / leaves
-    leaf = i - mesh * leaves
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
     area = wp.float64(0.0)
@@ -89,6 +87,14 @@ def _leaf_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32)):
     write_moments(moments, tree, node, centre, area, vector, first)
 
 
+@wp.kernel
+def _leaf_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32)):
+    i = begin + wp.tid()
+    leaves = 1 << tree.depth
+    mesh = i / leaves
+    make_leaf(tree, mesh, i - mesh * leaves, moments)
+
+
 @wp.func
 def read_vector(moments: wp.array(dtype=wp.float32), at: int):
     return wp.vec3(moments[at], moments[at + 1], moments[at + 2])
@@ -99,12 +105,11 @@ def read_matrix(moments: wp.array(dtype=wp.float32), at: int):
     return wp.matrix_from_rows(read_vector(moments, at), read_vector(moments, at + 3), read_vector(moments, at + 6))
 
 
-@wp.kernel
-def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), width: int):
-    i = begin + wp.tid()
-    mesh = i / width
+@wp.func
+def join_halves(tree: Tree, mesh: int, number: int, moments: wp.array(dtype=wp.float32)):
+    """Write the moments of a node with this number in its mesh from those of its children."""
     base = nodes_of(tree, mesh)
-    node = base + width + i - mesh * width
+    node = base + number
     left = (base + 2 * (node - base)) * _SIZE
     right = left + _SIZE
     area_l = wp.float64(moments[left + 4])
@@ -126,6 +131,13 @@ def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), 
         + wp.outer(centre_r - centre, vector_r)
     )
     write_moments(moments, tree, node, centre, area, vector_l + vector_r, first)
+
+
+@wp.kernel
+def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), width: int):
+    i = begin + wp.tid()
+    mesh = i / width
+    join_halves(tree, mesh, width + i - mesh * width, moments)
 
 
 def build_moments(tree: Tree, moments: wp.array, meshes: int) -> None:

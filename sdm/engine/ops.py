@@ -46,6 +46,11 @@ def _structure(vertices: Tensor, faces: Tensor, tensors: list[Tensor], kind: int
     return AccelerationStructure.from_tensors(tensors, kind, vertices.shape[0])
 
 
+def is_sorted(count: int, faces: int, gpu: bool) -> bool:
+    """True if so many points of a mesh with so many faces are gone through along a curve."""
+    return count >= SMALLEST_SORT or (not gpu and count >= CPU_SORT and faces >= CPU_SORT_TRIANGLES)
+
+
 def _query(
     at: Tensor, structure: AccelerationStructure, hits: bool, cube: Sequence[float] | None = None
 ) -> list[Tensor]:
@@ -58,9 +63,7 @@ def _query(
     found = []
     if hits:
         found = [torch.empty_like(at), torch.empty(count, dtype=torch.int32, device=at.device), torch.empty_like(at)]
-    sort = count >= SMALLEST_SORT
-    if not at.is_cuda:
-        sort |= count >= CPU_SORT and structure.sizes.faces >= CPU_SORT_TRIANGLES
+    sort = is_sorted(count, structure.sizes.faces, at.is_cuda)
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, structure.memory[0]):

@@ -67,7 +67,7 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
             # A part of a larger tensor would keep it all.
             paired.unmatched = paired.unmatched.clone()
         return found
-    paired.unmatched, found = _joined_on_host(paired.unmatched, batch)
+    paired.unmatched, found = joined_on_host(paired.unmatched, batch)
     # As long as a mesh that moves keeps its boundary, so do those who remember something about it.
     if paired.edges is None or not np.array_equal(on_host(paired.edges), found):
         paired.edges, paired.same = torch.from_numpy(found).to(faces.device), None
@@ -75,7 +75,7 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     return paired.edges
 
 
-def _joined_on_host(unmatched: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:
+def joined_on_host(unmatched: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:
     """The unmatched edges, in memory of their own, and the boundary edges; waits for the device once."""
     count, meshes = unmatched.shape[0], vertices.shape[0]
     vertices = vertices.contiguous()

@@ -46,6 +46,11 @@ def turned(faces: Tensor) -> Tensor:
 def remember_joined(pairing: Pairing, edges: Tensor, caps: Tensor) -> None:
     """Remember boundary edges and their caps, which were found on the device, as those of a pairing."""
     pairing.edges, pairing.same = edges, None
+    remember_caps(edges, caps)
+
+
+def remember_caps(edges: Tensor, caps: Tensor) -> None:
+    """Remember caps (E,3) of boundary edges (E,2), for `cap_triangles`."""
     cached(_known, edges, lambda: caps)
 
 

@@ -1,13 +1,23 @@
-"""Lists of meshes that differ on a GPU: bit for bit what single calls give, however they are cut into chunks."""
+"""Lists of meshes that differ on a GPU: bit for bit what single calls give, however they are cut into chunks.
+
+Points of open meshes with as few waits, however many there are.
+"""
 
 from __future__ import annotations
+
+import warnings
+from unittest import mock
 
 import numpy as np
 import pytest
 import torch
 
 import sdm
+from sdm.bench.common.dirty_meshes.by_code import torn
+from sdm.bench.common.meshes import torus
+from sdm.engine.structure import sizes
 from tests.helpers.same_bits import assert_same_bits, difference
+from tests.property.test_open_point_lists import KINDS, kinds_of, points_around
 from tests.property.test_ragged_lists import SIGNS, assert_same_closest, random_grid, random_mesh
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("ignore::sdm.SDMWarning")]
@@ -90,3 +100,59 @@ def test_a_face_out_of_range_is_named_by_its_mesh() -> None:
     bad = sdm.TriangleMesh(good.vertices, good.faces + 1, check=False)
     with pytest.raises(sdm.MeshError, match=r"^mesh 2: a face uses vertex"):
         sdm.signed_distance_maps([good, good, bad, good], 16)
+
+
+def torn_mesh(rng: np.random.Generator) -> sdm.TriangleMesh:
+    mesh = random_mesh(rng)
+    faces = mesh.faces[torch.from_numpy(rng.random(len(mesh)) > 0.1)]
+    return sdm.TriangleMesh(mesh.vertices, faces if len(faces) else mesh.faces[:1]).to("cuda")
+
+
+@pytest.mark.parametrize("limits", KINDS, ids=str)
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("max_bytes", [None, 1 << 22])
+def test_points_of_all_kinds_are_those_of_single_calls(
+    limits: dict[str, int], seed: int, max_bytes: int | None
+) -> None:
+    rng = np.random.default_rng(seed)
+    meshes = [(torn_mesh if i % 3 else random_mesh)(rng).to("cuda") for i in range(12)]
+    with mock.patch.multiple(sizes, **limits):
+        # Of those whose sides on the surface depend on what else is in a packet: see `joint_points`.
+        on_it = "MANY" not in kinds_of(meshes)
+        points = [points_around(rng, mesh, int(rng.integers(0, 9000)), on_it=on_it) for mesh in meshes]
+        found = sdm.signed_distances(meshes, points, max_bytes=max_bytes)
+        with_hits = sdm.signed_distances(meshes, points, max_bytes=max_bytes, return_closest=True)
+        for values, (others, hit), mesh, at in zip(found, with_hits, meshes, points, strict=True):
+            alone, own = sdm.signed_distance(mesh, at, return_closest=True)
+            assert_same_bits(values, alone, mesh)
+            assert_same_bits(others, alone, mesh)
+            assert_same_closest(hit, own, mesh.vertices, mesh)
+
+
+def test_points_near_many_boundary_edges() -> None:
+    rng = np.random.default_rng(1)
+    meshes = [sdm.TriangleMesh(*torn(torus(40_000), share)).to("cuda") for share in (0.001, 0.02, 0.1, 0.3)]
+    assert kinds_of(meshes) == ["OPEN", "MANY", "DIRTY", "DIRTY"]
+    points = [points_around(rng, mesh, 20_000, on_it=False) for mesh in meshes]
+    for values, mesh, at in zip(sdm.signed_distances(meshes, points), meshes, points, strict=True):
+        assert_same_bits(values, sdm.signed_distance(mesh, at), mesh)
+
+
+def test_points_wait_as_often_however_many_meshes() -> None:
+    def waits(count: int) -> int:
+        rng = np.random.default_rng(count)
+        meshes = [torn_mesh(rng) for _ in range(count)]
+        points = [points_around(rng, mesh, 2000, on_it=False) for mesh in meshes]
+        torch.cuda.synchronize()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            torch.cuda.set_sync_debug_mode("warn")
+            try:
+                sdm.signed_distances(meshes, points)
+            finally:
+                torch.cuda.set_sync_debug_mode("default")
+        return sum("called a synchronizing" in str(warning.message) for warning in caught)
+
+    waits(3)
+    # A wait for an event, as for the pairing's flags, has no warning.
+    assert waits(4) == waits(24) <= 2

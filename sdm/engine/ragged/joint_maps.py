@@ -140,15 +140,15 @@ def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
         # Whole numbers, which are those of closed meshes.
         if signed:
             slab_winding(surface.tree, surface.winding, slab(rows[0]), values, empty, options.most_columns)
-    structure = build.finish([job.number for job in jobs])
-    crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
+    structure = build.finish([job.number for job in jobs], remember=True)
+    crowded = {i for i in structure.kinds if may_be_crowded(jobs[i].mesh, structure.edges_of(i))}
     found = JointMaps(whole, jobs, starts, {}, crowded, [0] * len(jobs), structure)
     if crowded:
         thick -= crowded
         groups = _groups(plans, [i for i in range(len(jobs)) if i not in thick and i not in crowded], device)
         rows, _ = _to_device(_slab_rows(jobs, plans, starts, groups), plans, device)
     with on_current_stream(whole, whole, rows, *build.memory):
-        for i in structure.topologies.keys() - thick - crowded if signed else ():
+        for i in structure.kinds.keys() - thick - crowded if signed else ():
             _fill_open(structure.of_mesh(i, for_maps=True), jobs[i].grid, found.values(i))
         target = Target(values, as_warp(ambiguous, wp.int32), None)
         parts = [(slab(table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
@@ -158,11 +158,11 @@ def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
         grid = jobs[i].grid
         own, unclear = structure_slab(structure.of_mesh(i, for_maps=True), grid, 0, grid.shape[0], signed=signed)
         found.alone[i], ambiguous[i] = own[0], unclear[0]
-    if not (structure.topologies and signed):
+    if not (structure.kinds and signed):
         # Of closed meshes it is known without a look at the device, which would wait for it.
         return found
     counts = ambiguous.tolist()
-    return found._replace(counts=[counts[i] if i in structure.topologies else 0 for i in range(len(jobs))])
+    return found._replace(counts=[counts[i] if i in structure.kinds else 0 for i in range(len(jobs))])
 
 
 def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:

@@ -1,7 +1,8 @@
 """Scattered points of meshes that differ: one build and one query for all, in packets of one mesh each.
 
-All meshes are taken for closed, which is right of those that are, and of any if the sign does not matter. What a
-point's distance is does not depend on the packet that it is in.
+Closed meshes are asked about as one mesh is. Of open ones, whose winding numbers are found in ways of their own, the
+query finds distances alone, and other kernels the signs (`sdm.kernels.points.open_signs`). What a point's distance is
+does not depend on the packet that it is in, nor does its sign where it is off the surface.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.engine.ops import SMALLEST_SORT
+from sdm.engine.ops import SMALLEST_SORT, is_sorted
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.points import unsigned_winding
+from sdm.engine.ragged.open_points import OpenData
 from sdm.engine.ragged.structure import RaggedStructure
+from sdm.engine.structure.sizes import MeshKind
+from sdm.kernels.bvh.tree import COUNT
+from sdm.kernels.points.open_signs import sign_points
 from sdm.kernels.points.packets import PACKET
 from sdm.kernels.points.plan import plan_points
 from sdm.kernels.points.query import query_points, sort_points
@@ -29,13 +34,16 @@ def ragged_points(
 
     Args:
         structure: Of some meshes.
-        places: Those that are asked about, by their places there, from low to high.
+        places: Those that are asked about, by their places there, from low to high: closed ones, or open ones, if they
+            are to be signed.
         points: (N,3) float32 for each of these, on their device: as many as there are, or none.
         hits: Whether closest points are wanted.
         signed: Whether sides are: else distances are what they are outside.
     """
     at = torch.cat(list(points))
     counts, device = [part.shape[0] for part in points], at.device
+    # Of open meshes alone.
+    boundaries = structure.boundaries if signed and places[0] in structure.kinds else None
     packets = [-(-count // PACKET) for count in counts]
     total, most = sum(counts), sum(packets)
     values = torch.empty(total, dtype=torch.float32, device=device)
@@ -44,39 +52,61 @@ def ragged_points(
         found += [torch.empty_like(at), torch.empty(total, dtype=torch.int32, device=device), torch.empty_like(at)]
     if total:
         # Of each mesh its points and packets, and how far apart its first place and its first point are.
-        rows = torch.tensor([list(places), counts, packets], dtype=torch.int64, device="cpu")
+        # And whether they are taken along a curve though others are.
+        sort = total >= SMALLEST_SORT
+        along = [sort and _is_along(structure, i, count) for i, count in zip(places, counts, strict=True)]
+        sort = any(along)
+        rows = torch.tensor([list(places), counts, packets, along], dtype=torch.int64, device="cpu")
         before = rows.cumsum(1) - rows
         table = to_device(torch.cat([rows, (PACKET * before[2] - before[1])[None]]), device)
         owners = table[0].repeat_interleave(table[1], output_size=total).int()
         of_packets = table[0].repeat_interleave(table[2], output_size=most).int()
         order = torch.empty(2 * total, dtype=torch.int32, device=device)
-        sort = total >= SMALLEST_SORT
         keys = torch.empty(2 * total if sort else 0, dtype=torch.int64, device=device)
         in_places = torch.full((PACKET * most,), -1, dtype=torch.int32, device=device)
         numbers = torch.arange(total, dtype=torch.int64, device=device)
-        moved = numbers + table[3].repeat_interleave(table[1], output_size=total)
+        moved = numbers + table[4].repeat_interleave(table[1], output_size=total)
         with on_current_stream(at, at, structure.memory, structure.parts, owners, of_packets, order, keys, in_places):
             tree, winding, _, features, cones = structure.view
             where, empty = as_warp(at, wp.vec3), workspace(device)
             if sort:
                 sort_points(where, as_warp(owners, wp.int32), tree, as_warp(keys, wp.int64), as_warp(order, wp.int32))
-                in_places[moved] = order[:total]
+                ordered = order[:total]
+                if not all(along):
+                    ordered = torch.where(table[3].repeat_interleave(table[1], output_size=total) > 0, ordered, numbers)
+                in_places[moved] = ordered.int()
             else:
                 in_places[moved] = numbers.int()
             room = None
             if hits:
                 room = as_warp(found[1], wp.vec3), as_warp(found[2], wp.int32), as_warp(found[3], wp.vec3)
-            query_points(
+            plan = plan_points(PACKET * most, at.is_cuda, OPTIONS.get())
+            by, found_values = as_warp(in_places, wp.int32), as_warp(values, wp.float32)
+            asked = query_points(
                 tree,
                 features,
                 cones,
-                winding if signed else unsigned_winding(),
+                winding if signed and boundaries is None else unsigned_winding(),
                 where,
-                as_warp(in_places, wp.int32),
-                as_warp(values, wp.float32),
+                by,
+                found_values,
                 room,
                 empty,
-                plan_points(PACKET * most, at.is_cuda, OPTIONS.get()),
+                plan,
                 as_warp(of_packets, wp.int32),
             )
+            if boundaries is not None:
+                data = OpenData(structure, boundaries, places)
+                sign_points(tree, data.view, where, by, asked, found_values, empty, plan)
     return list(zip(*(whole.split(counts) for whole in found), strict=True))
+
+
+def _is_along(structure: RaggedStructure, mesh: int, count: int) -> bool:
+    """True if a mesh's points are gone through along a curve where those of all are.
+
+    Of a mesh with many boundary edges that is as in a call by itself: on its surface sides are found by the crossings
+    of a ray or by solid angles, as the packet is far from holes or not.
+    """
+    if structure.kinds.get(mesh) is not MeshKind.MANY:
+        return True
+    return is_sorted(count, structure.rows[mesh][COUNT], structure.memory.is_cuda)

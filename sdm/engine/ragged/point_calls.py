@@ -16,7 +16,7 @@ from sdm.engine.arguments import Sign
 from sdm.engine.checks.caller_warning import named
 from sdm.engine.checks.values_check import look_at_points
 from sdm.engine.closest_points import Closest
-from sdm.engine.points import as_points, at_points
+from sdm.engine.points import as_points, search_needs_tree_alone
 from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_points import ragged_points
 from sdm.engine.ragged.mesh_lists import each_points, in_pairs, is_crowded, is_plain, numbered
@@ -92,17 +92,20 @@ def _together(chunk: Sequence[PointsJob], closest: bool, sign: Sign) -> dict[int
     for jobs in alike.values():
         if len(jobs) < 2:
             continue
-        structure = RaggedBuild([job.mesh for job in jobs]).finish([job.number for job in jobs])
-        kept = [i for i, job in enumerate(jobs) if not may_be_crowded(job.mesh, structure.boundary_of(i))]
-        joint = [i for i in kept if sign == "none" or i not in structure.topologies]
-        rows, signed = [jobs[i].points.reshape(-1, 3) for i in joint], sign != "none"
-        some = ragged_points(structure, joint, rows, closest, signed) if joint else []
-        for i, (values, *hit) in zip(joint, some, strict=True):
-            found[jobs[i].number] = _shaped(jobs[i], values, hit)
-        # Those with holes have winding numbers of their own kinds.
-        for i in set(kept).difference(joint):
-            job = jobs[i]
-            found[job.number] = at_points(job.mesh, job.points, closest, structure.of_mesh(i), sign=sign)
+        alone = search_needs_tree_alone(jobs[0].mesh.device)
+        build = RaggedBuild([job.mesh for job in jobs], tree_alone=alone)
+        structure = build.finish([job.number for job in jobs])
+        kept = [i for i, job in enumerate(jobs) if not may_be_crowded(job.mesh, structure.edges_of(i))]
+        signed = sign != "none"
+        # Sides of open meshes are found in other ways.
+        is_open = [signed and i in structure.kinds for i in kept]
+        for of_open in (False, True):
+            some = [i for i, is_one in zip(kept, is_open, strict=True) if is_one == of_open]
+            if some:
+                rows = [jobs[i].points.reshape(-1, 3) for i in some]
+                answers = ragged_points(structure, some, rows, closest, signed)
+                for i, (values, *hit) in zip(some, answers, strict=True):
+                    found[jobs[i].number] = _shaped(jobs[i], values, hit)
     return found
 
 

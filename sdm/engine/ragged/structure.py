@@ -8,7 +8,7 @@ part of them is bit for bit its structure by itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from typing import NamedTuple, cast
@@ -28,15 +28,19 @@ from sdm.engine.acceleration import (
     fill_boundary,
     fill_surface,
     kind_of,
-    topology_for,
 )
+from sdm.engine.structure.sizes import VISITING, closed_by_faces
 from sdm.errors import MeshError
 from sdm.kernels.bvh.tree import COUNT, LEFT_OUT, PART_SIZE, coarser, depth_for
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device
 from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.cap_triangles import remember_caps, turned_faces
 from sdm.topology.face_pairing import Pairing, PairingUnderWay, is_known, remember
+from sdm.topology.joint_boundaries import JointBoundaries, caps_of, joint_boundaries
 
+# Places in the rows of `RaggedBuild`, behind those of `sdm.kernels.bvh.tree`: a mesh's first vertex, and its vertices.
+FIRST_VERTEX, VERTICES = 5, 6
 # What only an open mesh has.
 OF_BOUNDARY = ("boundary", "caps tree", "caps", "winding")
 
@@ -65,7 +69,8 @@ class RaggedStructure:
         parts: Where each mesh begins, see `sdm.kernels.bvh.tree`.
         view: The arrays for kernels: of the winding numbers, as if all meshes were closed.
         bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
-        topologies: Of each open mesh, by its place.
+        vertices: (V,3) float32, of all meshes in a row.
+        boundaries: Those of the meshes; None if all are closed.
         neighbours: (F,4) of all faces, see `sdm.kernels.topology.edge_pairing`.
     """
 
@@ -76,22 +81,64 @@ class RaggedStructure:
     parts: Tensor
     view: KernelView
     bounds: Tensor
-    topologies: dict[int, MeshTopology]
+    vertices: Tensor
+    boundaries: JointBoundaries | None
     neighbours: Tensor
+    _boundary: dict[int, Tensor] = field(default_factory=dict)
+
+    @cached_property
+    def kinds(self) -> dict[int, MeshKind]:
+        """The kind of each open mesh, by its place."""
+        counts = self.boundaries.counts if self.boundaries is not None else ()
+        return {i: kind_of(count, self.rows[i][COUNT]) for i, count in enumerate(counts) if count}
 
     def neighbours_of(self, mesh: int) -> Tensor:
         """The neighbours (F,4) of one mesh's faces, by their own numbers."""
         return _own_neighbours(self.neighbours, *self.rows[mesh][: COUNT + 1])
 
+    def edges_of(self, mesh: int) -> Tensor:
+        """The boundary edges (E,2) of one mesh, by the numbers of their vertices among all."""
+        if self.boundaries is None:
+            return self.meshes[mesh].faces.new_empty((0, 2))
+        begin, end = self.boundaries.begins[mesh : mesh + 2]
+        return self.boundaries.edges[begin:end]
+
     def boundary_of(self, mesh: int) -> Tensor:
         """The boundary edges (E,2) of one mesh."""
-        topology = self.topologies.get(mesh)
-        return self.meshes[mesh].faces.new_empty((0, 2)) if topology is None else topology.boundary
+        found = self._boundary.get(mesh)
+        if found is None:
+            found = self._boundary[mesh] = self.edges_of(mesh) - self.rows[mesh][FIRST_VERTEX]
+        return found
+
+    def topology_of(self, mesh: int) -> MeshTopology:
+        """The topology of one mesh, with the caps of its holes if maps look at them."""
+        edges = caps = self.boundary_of(mesh)
+        if mesh in self._caps:
+            caps = self._caps[mesh] - self.rows[mesh][FIRST_VERTEX]
+            remember_caps(edges, caps)
+        elif self.kinds.get(mesh) in VISITING:
+            caps = turned_faces(self.meshes[mesh].faces)
+        return MeshTopology(self.neighbours_of(mesh), edges, caps)
+
+    @cached_property
+    def _caps(self) -> dict[int, Tensor]:
+        """Caps (E,3) by the numbers of their vertices among all, of the meshes that are closed by such."""
+        found = self.boundaries
+        if found is None:
+            return {}
+        counts = found.counts
+        some = [
+            i
+            for i, kind in self.kinds.items()
+            if kind in VISITING and not closed_by_faces(kind, counts[i], self.rows[i][COUNT])
+        ]
+        caps = caps_of(found.of_some(some), self.vertices.shape[0])
+        return dict(zip(some, caps.split([counts[i] for i in some]), strict=True))
 
     def remember_pairing(self, mesh: int) -> None:
         """Let others know what the faces of one mesh say, who would find it anew."""
         faces, count = self.meshes[mesh].faces, self.meshes[mesh].vertices.shape[0]
-        if mesh not in self.topologies and not is_known(faces, count):
+        if mesh not in self.kinds and not is_known(faces, count):
             remember(faces, count, Pairing(faces.new_empty((0, 3)), self.neighbours_of(mesh)))
 
     def of_mesh(self, mesh: int, *, for_maps: bool = False) -> AccelerationStructure:
@@ -101,7 +148,7 @@ class RaggedStructure:
         """
         first_slot, count, _, first_node, *_ = self.rows[mesh]
         begin = JoinedSizes(mesh, 0, first_slot, first_node)
-        topology = self.topologies.get(mesh)
+        topology = self.topology_of(mesh) if mesh in self.kinds else None
         edges = 0 if topology is None else topology.boundary.shape[0]
         sizes, tensors = Sizes(1, count, edges, kind_of(edges, count)), []
         for array, whole in zip(ARRAYS, self._tensors, strict=True):
@@ -119,6 +166,12 @@ class RaggedStructure:
                 fill_boundary(structure, vertices, topology, bounds, for_maps=for_maps)()
         return structure
 
+    @property
+    def frames(self) -> Tensor:
+        """(meshes, FRAME_SIZE) float64, see `sdm.kernels.bvh.tree.Tree`."""
+        place = next(i for i, array in enumerate(ARRAYS) if (array.struct, array.name) == ("tree", "frame"))
+        return self._tensors[place].view(torch.float64).view(len(self.meshes), -1)
+
     @cached_property
     def _tensors(self) -> list[Tensor]:
         return AccelerationStructure.in_block(cast(Sizes, self.sizes), self.memory.device, self.memory).tensors
@@ -129,13 +182,14 @@ class RaggedBuild:
 
     Args:
         meshes: Any triangles, on one device.
+        tree_alone: Leave frames, features and cones without content, see `sdm.engine.points`.
 
     Attributes:
         view: The arrays for kernels, as if all meshes were closed.
         memory: The tensors that they are parts of.
     """
 
-    def __init__(self, meshes: Sequence[TriangleMesh]) -> None:
+    def __init__(self, meshes: Sequence[TriangleMesh], *, tree_alone: bool = False) -> None:
         device, self._meshes = meshes[0].device, list(meshes)
         counts = [mesh.faces.shape[0] for mesh in meshes]
         vertex_counts = [mesh.vertices.shape[0] for mesh in meshes]
@@ -147,9 +201,9 @@ class RaggedBuild:
         rows = np.array(columns, np.int32).T.copy()
         self._rows: list[list[int]] = rows.tolist()
         self._sizes = sizes = JoinedSizes(len(counts), max(counts), slots[-1], nodes[-1])
-        table = to_device(torch.from_numpy(rows), device)
+        self._table = table = to_device(torch.from_numpy(rows), device)
         with torch.no_grad():
-            vertices = torch.cat([mesh.vertices for mesh in meshes])
+            self._vertices = vertices = torch.cat([mesh.vertices for mesh in meshes])
         faces, self._out_of_range = _joined_faces(meshes, table, sizes.slots)
         self._parts = table[:, :PART_SIZE].contiguous()
         # Typed for meshes that share faces, but only these attributes are looked at.
@@ -164,18 +218,20 @@ class RaggedBuild:
         with on_current_stream(vertices, vertices, faces, self._parts):
             # The kernels do not wait for what the faces say about the boundary.
             bounds = as_warp(self._bounds, wp.float32)
-            fill_surface(self.view, vertices[None], faces, self._pairing.neighbours, bounds)
+            around = self._pairing.neighbours
+            fill_surface(self.view, vertices[None], faces, around, bounds, tree_alone=tree_alone)
 
     def leave_out(self, levels: Tensor | None) -> None:
         """Have candidate lists do without so many last levels of each tree, if not None: (meshes,), on the device."""
         if levels is not None:
             self._parts[:, LEFT_OUT] = levels
 
-    def finish(self, numbers: Sequence[int]) -> RaggedStructure:
+    def finish(self, numbers: Sequence[int], *, remember: bool = False) -> RaggedStructure:
         """The structures, once the device has found the boundaries.
 
         Args:
             numbers: The meshes' numbers, as errors call them.
+            remember: Let others know what the faces of open meshes say. On a GPU nobody asks, and each would wait.
 
         Raises:
             MeshError: A face index out of range.
@@ -184,10 +240,14 @@ class RaggedBuild:
         # This was queued before the pairing was.
         if bool(self._out_of_range):
             _refuse_out_of_range(self._meshes, numbers)
-        topologies = _open_topologies(self._meshes, self._rows, pairing)
-        return RaggedStructure(
-            self._meshes, self._sizes, self._rows, *self.memory, self.view, self._bounds, topologies, pairing.neighbours
-        )
+        boundaries, vertices = None, self._vertices
+        if pairing.unmatched.shape[0]:
+            counts = self._table[:, VERTICES].contiguous()
+            boundaries = joint_boundaries(pairing.unmatched, self._pairing.found, vertices, counts)
+            if remember and not vertices.is_cuda:
+                _remember_open(self._meshes, self._rows, pairing)
+        found = self._bounds, vertices, boundaries, pairing.neighbours
+        return RaggedStructure(self._meshes, self._sizes, self._rows, *self.memory, self.view, *found)
 
 
 def _joined_faces(meshes: Sequence[TriangleMesh], table: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -221,24 +281,13 @@ def _own_neighbours(neighbours: Tensor, first: int, count: int) -> Tensor:
     return around
 
 
-def _open_topologies(
-    meshes: Sequence[TriangleMesh], rows: Sequence[list[int]], pairing: Pairing
-) -> dict[int, MeshTopology]:
-    """Topology of each mesh with a boundary; what its faces say by themselves is taken from the pairing of all."""
-    if pairing.unmatched.shape[0] == 0:
-        return {}
-    firsts = torch.tensor([row[5] for row in rows], dtype=torch.int32, device=pairing.unmatched.device)
+def _remember_open(meshes: Sequence[TriangleMesh], rows: Sequence[list[int]], pairing: Pairing) -> None:
+    """Remember what the faces of each mesh with unmatched edges say by themselves."""
+    firsts = torch.tensor([row[FIRST_VERTEX] for row in rows], dtype=torch.int32, device="cpu")
     owners = torch.searchsorted(firsts, pairing.unmatched[:, 0].contiguous(), right=True) - 1
-    found = {}
     for mesh in owners.unique().tolist():
-        first_face, count, *_, first_vertex, vertices = rows[mesh]
+        first_face, count, *_ = rows[mesh]
         unmatched = pairing.unmatched[owners == mesh]
-        unmatched[:, :2] -= first_vertex
+        unmatched[:, :2] -= rows[mesh][FIRST_VERTEX]
         around = _own_neighbours(pairing.neighbours, first_face, count)
-        faces = meshes[mesh].faces
-        remember(faces, vertices, Pairing(unmatched, around))
-        topology = topology_for(meshes[mesh].vertices.detach()[None].contiguous(), faces)
-        # Vertices at one place may have closed it.
-        if topology.boundary.shape[0]:
-            found[mesh] = topology
-    return found
+        remember(meshes[mesh].faces, rows[mesh][VERTICES], Pairing(unmatched, around))

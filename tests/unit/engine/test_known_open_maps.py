@@ -45,8 +45,8 @@ def test_the_host_looks_once_at_an_open_mesh(way, monkeypatch):
     vertices, faces = (torch.from_numpy(array) for array in torn(torus(400), 0.1))
     boundary_edges.boundary_edges(vertices, faces)
     looks = []
-    plain = boundary_edges._joined_on_host
-    monkeypatch.setattr(boundary_edges, "_joined_on_host", lambda *args: looks.append(1) or plain(*args))
+    plain = boundary_edges.joined_on_host
+    monkeypatch.setattr(boundary_edges, "joined_on_host", lambda *args: looks.append(1) or plain(*args))
     for factor in (1.0, 1.1, 0.9):
         expected = _expected(factor * vertices, faces)
         before = len(looks)
