@@ -26,6 +26,7 @@ from sdm.cli.common.renamed_options import renamed
 from sdm.cli.common.termination import Terminated, raised_termination
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
 from sdm.errors import SDMWarning
+from sdm.runtime import torch_libraries
 
 # In the order of the help text.
 COMMANDS = (
@@ -108,6 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = gc.get_threshold()
     gc.set_threshold(*GARBAGE_THRESHOLDS)
     try:
+        if words and words[0] in WITH_KERNELS and not {"-h", "--help"} & set(words):
+            torch_libraries.begin()
         with raised_termination(), with_stand_ins(words) as local:
             command = _parse(local)
             if words and words[0] in WITH_KERNELS and command is not _nothing:

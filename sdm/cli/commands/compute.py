@@ -109,6 +109,9 @@ def compute(
     # A cluster has its own.
     with early_processes(meshes if ray is None else [], device, resolution, out if resume else None) as others:
         with imports_that_stay():
+            # Warp starts beside torch's libraries, and what comes after torch is imported beside the GPU.
+            import sdm.kernels  # noqa: F401
+
             if ray is None:
                 early_device.begin(device)
             from sdm.cli.common.inputs import refuse_inputs, refuse_twice

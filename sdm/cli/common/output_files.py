@@ -68,12 +68,14 @@ def places_in(sources: dict[Path, Path]) -> list[Path]:
     endings alone keep these.
     """
     places = list(sources.values())
-    if len({_plain(place) for place in places}) < len(places) and len(set(places)) < len(places):
+    plain = [_plain(place) for place in places]
+    if len(set(plain)) < len(places) and len(set(places)) < len(places):
         whole = [source.parent.resolve() / source.name for source in sources]
         common = os.path.commonpath([path.parent for path in whole])
         places = [path.relative_to(common) for path in whole]
-    times = Counter(map(_plain, places))
-    names = [_plain(place) if times[_plain(place)] == 1 else place for place in places]
+        plain = [_plain(place) for place in places]
+    times = Counter(plain)
+    names = [short if times[short] == 1 else place for short, place in zip(plain, places, strict=True)]
     # One without its ending may be called as another one with it: `a.ply.ply` beside `a.ply` and `a.stl`.
     while len(set(names)) < len(set(places)):
         times = Counter(names)

@@ -20,11 +20,11 @@ def mesh_tree(folder: str | Path) -> list[Path]:
     Raises:
         MeshError: A folder that cannot be read, whose meshes would be left out.
     """
-    root = Path(folder)
-    return sorted(_files(root), key=lambda path: path.relative_to(root).parts)
+    return [path for _, path in sorted(_files(Path(folder)))]
 
 
-def _files(root: Path) -> Iterator[Path]:
+def _files(root: Path) -> Iterator[tuple[tuple[str, ...], Path]]:
+    """Each with the parts of its place below the root."""
     endings, seen = mesh_endings(), set()
     for place, folders, names in os.walk(root, followlinks=True, onerror=_refuse):
         found = Path(place).stat()
@@ -33,11 +33,12 @@ def _files(root: Path) -> Iterator[Path]:
             continue
         seen.add((found.st_dev, found.st_ino))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
+        above = Path(place).relative_to(root).parts
         for name in names:
             if name.lower().endswith(endings) and not name.startswith("."):
                 path = Path(place, name)
                 if _is_file(path):
-                    yield path
+                    yield (*above, name), path
 
 
 def _is_file(path: Path) -> bool:

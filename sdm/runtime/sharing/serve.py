@@ -16,7 +16,7 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 
 from sdm.errors import SDMError
-from sdm.runtime import early_device
+from sdm.runtime import early_device, torch_libraries
 from sdm.runtime.sharing.job import SharedJob
 
 # As of commands, see `sdm.cli.app`.
@@ -39,6 +39,9 @@ def serve(link: Connection, imports: str, device: str) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # To look for garbage among a million new objects that stay takes a quarter of the import.
     gc.disable()
+    torch_libraries.begin()
+    # Warp starts beside them.
+    import_module("sdm.kernels")
     early_device.begin(device)
     import_module(imports)
     import torch
