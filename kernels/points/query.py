@@ -6,7 +6,8 @@ first and taken in packets of neighbours (`packets`), each of which begins with 
 The fast path finds both answers for whole packets before, as a dense query does for blocks of voxels: one list of
 triangles that may be nearest to any of a packet's points (`nearest`), and one of those that rays from them may meet
 (`signs`), gathered from the tree by all lanes together (`candidates`). The plain path is then left with packets so wide
-that their lists are too long, and with those near an open mesh's holes.
+that their lists are too long. Near an open mesh's holes all lanes share its boundary edges (`edge_signs`), unless these
+are too many.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import CURVE_SHARE, launch, threads
 from sdm.kernels.points.closest import name_faces
+from sdm.kernels.points.edge_signs import can_be_summed, sign_by_edges
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.nearest import find_nearest
 from sdm.kernels.points.packets import (
@@ -287,7 +289,8 @@ def query_points(
     look_around(tree, winding, points, order, packets, scratch, workers, lanes)
     slots = empty(count if plan.lists else 0, wp.int32)
     signed = winding.kind != UNSIGNED
-    sides = empty(count if plan.lists and signed else 0, wp.int32)
+    by_edges = signed and meshes is None and can_be_summed(winding, device)
+    sides = empty(count if signed and (plan.lists or by_edges) else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
@@ -295,6 +298,12 @@ def query_points(
         find_nearest(tree, features.balls, cones, points, order, packets, scratch, slots, workers, lanes)
         if signed:
             find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
+    elif by_edges:
+        # All are unknown.
+        sides.zero_()
+    if by_edges:
+        sign_by_edges(tree, winding.boundary, points, order, packets, sides, empty)
+    if plan.lists:
         launch(_finish, count, [tree, points, order, packets, slots, sides, values, wanted], device)
     inputs = [plan.run, tree, winding, points, order, packets, slots, sides, values, wanted]
     launch(_query, -(-count // plan.run), inputs, device, smallest=16)

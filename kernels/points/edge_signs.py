@@ -1,0 +1,150 @@
+"""Signs of scattered points near an open mesh's holes: by the sum over all of its boundary edges.
+
+In float32 with a bound first, and in float64 where that leaves a doubt, so that each point is on the side where
+float64's sum is. All lanes of a group share the edges of one point after the other: a lane that goes through them, or
+down a tree of dipoles, by itself takes milliseconds for a point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.launch import launch
+from sdm.kernels.points.packets import FAR, PACKET, Packets, is_finite, numbered, packet_end, scale_of
+from sdm.kernels.points.signs import INSIDE, OUTSIDE
+from sdm.kernels.primitives.lanes import (
+    BLOCKS_PER_SM,
+    GPU_LANES,
+    ballot,
+    first_member,
+    int_from_lane,
+    sum_of_lanes,
+    sum_of_lanes_in_double,
+)
+from sdm.kernels.primitives.wide_numbers import SIXTEEN
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.eights.packed_edges import ROW, pack_edges, sum_of_eights
+from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.rims.float32_sum import rim_part
+from sdm.kernels.winding.settled_boxes import LAST_ROUNDING, LAST_ROUNDINGS
+from sdm.kernels.winding.winding_number import DIRTY, MANY, OPEN
+
+wp.set_module_options({"enable_backward": False})
+
+# Of more boundary edges the tree of dipoles costs less.
+MOST_SUMMED = {"cuda": 1 << 15, "cpu": 1 << 14}
+# Groups of lanes that share a packet's points on a GPU: a few thousand points are to keep all of it busy.
+PARTS = 8
+
+
+@wp.func
+def is_inside(
+    tree: Tree,
+    boundary: Boundary,
+    rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
+    p: wp.vec3d,
+    crossings: int,
+    lane: int,
+    lanes: int,
+):
+    """True if the winding number at p (scaled), of a mesh alone, is more than 0.5; all lanes are told."""
+    whole = float(crossings)
+    found = wp.vec2()
+    if packed.shape[0] > 0:
+        found = sum_of_eights(rows, 0, packed[0], wp.vec3(p))
+    else:
+        found = rim_part(boundary, 0, wp.vec3(p), lane, lanes)
+    winding = whole + sum_of_lanes(found[0])
+    error = sum_of_lanes(found[1]) + LAST_ROUNDINGS + LAST_ROUNDING * wp.abs(whole)
+    # Nor if the error is infinite, or nothing that can be compared.
+    if not wp.abs(winding - 0.5) > error:
+        exact = sum_of_lanes_in_double(boundary_part(boundary, tree, 0, p, lane, lanes))
+        winding = float(wp.float64(crossings) + exact)
+    return winding > 0.5
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _sign_by_edges(
+    begin: int,
+    lanes: int,
+    parts: int,
+    tree: Tree,
+    boundary: Boundary,
+    rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    packets: Packets,
+    sides: wp.array(dtype=wp.int32),
+):
+    """Each group of lanes has one of so many parts of a packet, unless lists tell the sides of that."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    packet = group / parts
+    if (packets.hints[packet] & FAR) != 0:
+        return
+    first = PACKET * packet + (group - packet * parts) * (PACKET / parts)
+    end = wp.min(first + PACKET / parts, packet_end(packets, packet))
+    scale = scale_of(tree, 0)
+    while first < end:
+        at = first + lane
+        i = int(-1)
+        crossings = int(0)
+        if at < end:
+            i = numbered(order, at)
+            if i >= 0:
+                if is_finite(points[i]):
+                    crossings = count_crossings(tree, 0, scale * wp.vec3d(points[i]))
+                else:
+                    i = -1
+        left = ballot(i >= 0)
+        while left != wp.uint32(0):
+            source = first_member(left)
+            left = left & (left - wp.uint32(1))
+            p = scale * wp.vec3d(points[int_from_lane(i, source)])
+            inside = is_inside(tree, boundary, rows, packed, p, int_from_lane(crossings, source), lane, lanes)
+            if lane == source:
+                sides[at] = wp.where(inside, INSIDE, OUTSIDE)
+        first = first + lanes
+
+
+def can_be_summed(winding: Any, device: Any) -> bool:
+    """True if points near the holes of a mesh alone are to be signed by the sum over its edges."""
+    most = MOST_SUMMED["cuda" if device.is_cuda else "cpu"]
+    return winding.kind in (OPEN, MANY, DIRTY) and winding.boundary.count <= most
+
+
+def sign_by_edges(
+    tree: Tree,
+    boundary: Any,
+    points: wp.array,
+    order: wp.array,
+    packets: Packets,
+    sides: wp.array,
+    empty: Callable[[int, Any], wp.array],
+) -> None:
+    """Write INSIDE or OUTSIDE for the finite points of packets that are not far from the holes; for others nothing.
+
+    Args:
+        tree: The hierarchy of one mesh.
+        boundary: Its boundary edges.
+        points: (N,) vec3.
+        order: (N,) the order to go through them, or empty.
+        packets: What is known of them.
+        sides: (N,) int32, in that order.
+        empty: Allocates workspace: `empty(length, dtype)`.
+    """
+    device = points.device
+    lanes, parts, blocks = (GPU_LANES, PARTS, 0) if device.is_cuda else (1, 1, -(-boundary.count // SIXTEEN))
+    # A CPU sums edges up by sixteens.
+    rows, packed = empty(ROW * blocks, wp.float32), empty(min(blocks, 1), wp.int32)
+    if blocks:
+        launch(pack_edges, 1, [boundary, blocks, rows, packed], device)
+    inputs = [lanes, parts, tree, boundary, rows, packed, points, order, packets, sides]
+    launch(_sign_by_edges, packets.count * parts * lanes, inputs, device, smallest=1)
