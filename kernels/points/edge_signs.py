@@ -46,7 +46,8 @@ def is_inside(
     tree: Tree,
     boundary: Boundary,
     rows: wp.array(dtype=wp.float32),
-    packed: wp.array(dtype=wp.int32),
+    first: int,
+    packed: int,
     p: wp.vec3d,
     crossings: int,
     lane: int,
@@ -55,8 +56,8 @@ def is_inside(
     """True if the winding number at p (scaled), of a mesh alone, is more than 0.5; all lanes are told."""
     whole = float(crossings)
     found = wp.vec2()
-    if packed.shape[0] > 0:
-        found = sum_of_eights(rows, 0, packed[0], wp.vec3(p))
+    if packed > 0:
+        found = sum_of_eights(rows, first, packed, wp.vec3(p))
     else:
         found = rim_part(boundary, 0, wp.vec3(p), lane, lanes)
     winding = whole + sum_of_lanes(found[0])
@@ -68,28 +69,28 @@ def is_inside(
     return winding > 0.5
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _sign_by_edges(
-    begin: int,
-    lanes: int,
-    parts: int,
+@wp.func
+def sign_part(
     tree: Tree,
     boundary: Boundary,
     rows: wp.array(dtype=wp.float32),
-    packed: wp.array(dtype=wp.int32),
+    first_row: int,
+    packed: int,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     packets: Packets,
+    packet: int,
+    part: int,
+    parts: int,
     sides: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
 ):
-    """Each group of lanes has one of so many parts of a packet, unless lists tell the sides of that."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    group = thread / lanes
-    packet = group / parts
-    if (packets.hints[packet] & FAR) != 0:
-        return
-    first = PACKET * packet + (group - packet * parts) * (PACKET / parts)
+    """Write the sides of one of so many parts of a packet's points, of a mesh alone.
+
+    `packed` of its edges are in `rows` from `first_row` on (`eights.packed_edges`); 0: they are not packed.
+    """
+    first = PACKET * packet + part * (PACKET / parts)
     end = wp.min(first + PACKET / parts, packet_end(packets, packet))
     scale = scale_of(tree, 0)
     while first < end:
@@ -108,10 +109,40 @@ def _sign_by_edges(
             source = first_member(left)
             left = left & (left - wp.uint32(1))
             p = scale * wp.vec3d(points[int_from_lane(i, source)])
-            inside = is_inside(tree, boundary, rows, packed, p, int_from_lane(crossings, source), lane, lanes)
+            known = int_from_lane(crossings, source)
+            inside = is_inside(tree, boundary, rows, first_row, packed, p, known, lane, lanes)
             if lane == source:
                 sides[at] = wp.where(inside, INSIDE, OUTSIDE)
         first = first + lanes
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _sign_by_edges(
+    begin: int,
+    lanes: int,
+    parts: int,
+    tree: Tree,
+    boundary: Boundary,
+    rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    packets: Packets,
+    sides: wp.array(dtype=wp.int32),
+):
+    """Each group of lanes has one of so many parts of a packet, unless lists tell the sides of that."""
+    thread = begin + wp.tid()
+    group = thread / lanes
+    packet = group / parts
+    if (packets.hints[packet] & FAR) != 0:
+        return
+    count = int(0)
+    if packed.shape[0] > 0:
+        count = packed[0]
+    sign_part(
+        tree, boundary, rows, 0, count, points, order, packets, packet, group - packet * parts, parts, sides,
+        thread % lanes, lanes,
+    )  # fmt: skip
 
 
 def can_be_summed(winding: Any, device: Any) -> bool:

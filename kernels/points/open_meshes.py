@@ -18,8 +18,8 @@ from sdm.kernels.winding.winding_number import Winding
 wp.set_module_options({"enable_backward": False})
 
 # Entries of a mesh's row: its kind, its first edge and how many it has, both as far as they are visited, the number of
-# its tree among those of caps, and the first node of its dipoles.
-KIND, FIRST_EDGE, EDGES, CAPS, DIPOLES, ROW = 0, 1, 2, 3, 4, 5
+# its tree among those of caps, the first node of its dipoles, and the first of its edges' rows of sixteen.
+KIND, FIRST_EDGE, EDGES, CAPS, DIPOLES, SIXTEENS, ROW = 0, 1, 2, 3, 4, 5, 6
 
 
 @wp.struct

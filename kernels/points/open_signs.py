@@ -15,8 +15,9 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
 from sdm.kernels.launch import launch
+from sdm.kernels.points.edge_signs import PARTS, sign_part
 from sdm.kernels.points.group_descent import SCRATCH
-from sdm.kernels.points.open_meshes import OpenMeshes, by_itself, winding_of
+from sdm.kernels.points.open_meshes import EDGES, ROW, SIXTEENS, OpenMeshes, by_itself, winding_of
 from sdm.kernels.points.packets import (
     APART,
     COVERED,
@@ -37,7 +38,9 @@ from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.query import BALL_ROOM, BALLS, workers_for
 from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, crossings_in_list, list_rays
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import GPU_LANES, on_cpu, wait_for_lanes
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, on_cpu, wait_for_lanes
+from sdm.kernels.winding.eights.packed_edges import ROW as EDGES_ROW
+from sdm.kernels.winding.eights.packed_edges import pack_in_rows
 from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
 from sdm.kernels.winding.ray_crossings import count_crossings, winding_of_closed
 from sdm.kernels.winding.winding_number import MANY, OPEN, inside_at
@@ -112,6 +115,47 @@ def _find_sides(
 
 
 @wp.kernel
+def _pack_edges(begin: int, meshes: OpenMeshes, rows: wp.array(dtype=wp.float32), packed: wp.array(dtype=wp.int32)):
+    """As `eights.packed_edges.pack_edges`, of each mesh whose edges are visited."""
+    mesh = begin + wp.tid()
+    packed[mesh] = 0
+    if meshes.rows[ROW * mesh + EDGES] > 0:
+        boundary = winding_of(meshes, mesh).boundary
+        packed[mesh] = pack_in_rows(boundary, 0, meshes.rows[ROW * mesh + SIXTEENS], rows)
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _sign_by_edges(
+    begin: int,
+    lanes: int,
+    parts: int,
+    tree: Tree,
+    meshes: OpenMeshes,
+    rows: wp.array(dtype=wp.float32),
+    packed: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    packets: Packets,
+    sides: wp.array(dtype=wp.int32),
+):
+    """As that of `edge_signs`, where a mesh's edges are visited."""
+    thread = begin + wp.tid()
+    group = thread / lanes
+    packet = group / parts
+    mesh = mesh_of(packets, packet)
+    row = ROW * mesh
+    if (packets.hints[packet] & FAR) != 0 or meshes.rows[row + EDGES] == 0:
+        return
+    count = int(0)
+    if packed.shape[0] > 0:
+        count = packed[mesh]
+    sign_part(
+        by_itself(tree, mesh), winding_of(meshes, mesh).boundary, rows, meshes.rows[row + SIXTEENS], count, points,
+        order, packets, packet, group - packet * parts, parts, sides, thread % lanes, lanes,
+    )  # fmt: skip
+
+
+@wp.kernel
 def _write_signs(
     begin: int,
     length: int,
@@ -176,6 +220,7 @@ def sign_points(
     values: wp.array,
     empty: Callable[[int, Any], wp.array],
     plan: PointsPlan,
+    sixteens: int,
 ) -> None:
     """Give points of open meshes that differ their signs.
 
@@ -188,15 +233,27 @@ def sign_points(
         values: (N,) float32, the distances, to be made negative inside.
         empty: Allocates workspace: `empty(length, dtype)`.
         plan: That of the query.
+        sixteens: Rows of sixteen edges for all meshes whose edges are visited.
     """
     count, device = packets.places, points.device
-    lanes = GPU_LANES if device.is_cuda else 1
+    lanes, parts = (GPU_LANES, PARTS) if device.is_cuda else (1, 1)
     launch(_look_at_holes, packets.count * lanes, [lanes, meshes, packets], device, smallest=16)
-    sides = empty(count if plan.lists else 0, wp.int32)
+    sides = empty(count if plan.lists or sixteens else 0, wp.int32)
     if plan.lists:
         workers = workers_for(packets, plan, device)
         scratch = empty(workers * SCRATCH, wp.int32)
         inputs = [lanes, tree, meshes, points, order, packets, scratch, sides]
         launch(_find_sides, workers * lanes, inputs, device, smallest=1)
+    elif sixteens:
+        # All are unknown.
+        sides.zero_()
+    if sixteens:
+        all_meshes = meshes.rows.shape[0] // ROW
+        sixteens = 0 if device.is_cuda else sixteens
+        rows, packed = empty(EDGES_ROW * sixteens, wp.float32), empty(all_meshes if sixteens else 0, wp.int32)
+        if sixteens:
+            launch(_pack_edges, all_meshes, [meshes, rows, packed], device, smallest=1)
+        inputs = [lanes, parts, tree, meshes, rows, packed, points, order, packets, sides]
+        launch(_sign_by_edges, packets.count * parts * lanes, inputs, device, smallest=1)
     inputs = [plan.run, tree, meshes, points, order, packets, sides, values]
     launch(_write_signs, -(-count // plan.run), inputs, device, smallest=16)

@@ -57,14 +57,12 @@ def place_of_edge(number: int):
     return ROW * (number / SIXTEEN) + number % SIXTEEN
 
 
-@wp.kernel
-def pack_edges(
-    begin: int, boundary: Boundary, blocks: int, rows: wp.array(dtype=wp.float32), packed: wp.array(dtype=wp.int32)
-):
-    """Write up to `blocks` rows of sixteen edges for each mesh, and how many edges are packed there. Two that are alike
-    and next to each other are one that is met twice.
+@wp.func
+def pack_in_rows(boundary: Boundary, mesh: int, first: int, rows: wp.array(dtype=wp.float32)):
+    """Write a mesh's edges in rows of sixteen, from the first one on; returns how many edges there are in them.
+
+    Two that are alike and next to each other are one that is met twice.
     """
-    mesh = begin + wp.tid()
     length = int(0)
     before_a = wp.vec3()
     before_b = wp.vec3()
@@ -75,11 +73,11 @@ def pack_edges(
         b = boundary.ends[end + 1]
         if times == 1.0 and a == before_a and b == before_b:
             times = float(2.0)
-            number = mesh * blocks * SIXTEEN + length - 1
+            number = first * SIXTEEN + length - 1
             rows[place_of_edge(number) + TIMES] = times
         else:
             times = float(1.0)
-            number = mesh * blocks * SIXTEEN + length
+            number = first * SIXTEEN + length
             at = place_of_edge(number)
             for axis in range(3):
                 rows[at + BEGIN + SIXTEEN * axis] = a[axis]
@@ -94,13 +92,23 @@ def pack_edges(
             length = length + 1
         before_a = a
         before_b = b
-    packed[mesh] = length
     # No row is written in part: edges without a length, far from all voxels.
-    while length % SIXTEEN != 0:
-        at = place_of_edge(mesh * blocks * SIXTEEN + length)
+    padded = int(length)
+    while padded % SIXTEEN != 0:
+        at = place_of_edge(first * SIXTEEN + padded)
         for k in range(ROW / SIXTEEN):
             rows[at + SIXTEEN * k] = 1000.0
-        length = length + 1
+        padded = padded + 1
+    return length
+
+
+@wp.kernel
+def pack_edges(
+    begin: int, boundary: Boundary, blocks: int, rows: wp.array(dtype=wp.float32), packed: wp.array(dtype=wp.int32)
+):
+    """Write up to `blocks` rows of sixteen edges for each mesh, and how many edges are packed there."""
+    mesh = begin + wp.tid()
+    packed[mesh] = pack_in_rows(boundary, mesh, mesh * blocks, rows)
 
 
 # As many edges as a register holds, as they are seen from a place `c`, and which of them are there.

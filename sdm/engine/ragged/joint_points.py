@@ -97,7 +97,7 @@ def ragged_points(
             )
             if boundaries is not None:
                 data = OpenData(structure, boundaries, places)
-                sign_points(tree, data.view, where, by, asked, found_values, empty, plan)
+                sign_points(tree, data.view, where, by, asked, found_values, empty, plan, data.sixteens)
     return list(zip(*(whole.split(counts) for whole in found), strict=True))
 
 

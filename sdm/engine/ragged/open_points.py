@@ -14,13 +14,25 @@ from sdm.engine.structure.sizes import WITH_DIPOLES, MeshKind
 from sdm.kernels.bvh.build import build_in_frame
 from sdm.kernels.bvh.tree import BOX_FLOATS, DEPTH, PART_SIZE, Tree
 from sdm.kernels.launch import set_array
-from sdm.kernels.points.open_meshes import OpenMeshes, build_dipoles, gather_edges
+from sdm.kernels.points.edge_signs import MOST_SUMMED
+from sdm.kernels.points.open_meshes import (
+    CAPS,
+    DIPOLES,
+    EDGES,
+    FIRST_EDGE,
+    ROW,
+    SIXTEENS,
+    OpenMeshes,
+    build_dipoles,
+    gather_edges,
+)
+from sdm.kernels.primitives.wide_numbers import SIXTEEN
 from sdm.kernels.winding.cap_tree import depth_of_caps
 from sdm.kernels.winding.dipole_tree import MOMENTS_SIZE
 from sdm.runtime.torch_warp import as_warp, on_current_stream, repeated_row, to_device, workspace
 from sdm.topology.joint_boundaries import JointBoundaries, caps_of
 
-# Kinds whose edges, and caps, points look at.
+# Kinds whose caps points look at, too, besides their edges.
 SEEN = frozenset((MeshKind.OPEN, MeshKind.MANY))
 
 
@@ -34,6 +46,7 @@ class OpenData:
 
     Attributes:
         view: The arrays for kernels.
+        sixteens: Rows of sixteen edges that hold those of all meshes whose edges are visited.
         memory: The tensors that they are parts of, to live until the last kernel that uses them is queued.
     """
 
@@ -41,36 +54,44 @@ class OpenData:
         device = structure.memory.device
         kinds, counts, meshes = structure.kinds, found.counts, structure.rows
         seen = [i for i in places if kinds[i] in SEEN]
-        dipoles = [i for i in places if kinds[i] in WITH_DIPOLES]
-        edges = [counts[i] for i in seen]
-        levels = [depth_of_caps(count) for count in edges]
+        most = MOST_SUMMED["cuda" if device.type == "cuda" else "cpu"]
+        # And those whose edges are few enough.
+        summed = seen + [i for i in places if kinds[i] is MeshKind.DIRTY and counts[i] <= most]
+        dipoles = [i for i in places if kinds[i] in WITH_DIPOLES and i not in summed]
+        edges = [counts[i] for i in summed]
+        levels = [depth_of_caps(counts[i]) for i in seen]
         first_edges, roots = [0, *accumulate(edges)], [0, *accumulate([2 << level for level in levels])]
+        sixteens = [0, *accumulate([-(-count // SIXTEEN) for count in edges])]
         nodes = [0, *accumulate([2 << meshes[i][DEPTH] for i in dipoles])]
-        rows = [[int(kinds.get(i, MeshKind.CLOSED)), 0, 0, 0, 0] for i in range(len(meshes))]
+        rows = [[int(kinds.get(i, MeshKind.CLOSED)), *[0] * (ROW - 1)] for i in range(len(meshes))]
+        for k, i in enumerate(summed):
+            rows[i][FIRST_EDGE], rows[i][EDGES], rows[i][SIXTEENS] = first_edges[k], edges[k], sixteens[k]
         for k, i in enumerate(seen):
-            rows[i][1:4] = first_edges[k], edges[k], k
+            rows[i][CAPS] = k
         for k, i in enumerate(dipoles):
-            rows[i][4] = nodes[k]
+            rows[i][DIPOLES] = nodes[k]
         # Of trees one at least, which nobody looks at.
         parts = [[first_edges[k], edges[k], levels[k], roots[k], 0] for k in range(len(seen))] or [[0] * PART_SIZE]
         # One copy for all.
-        tables = [[x for row in table for x in row] for table in (rows, parts)] + [seen, edges, dipoles]
+        tables = [[x for row in table for x in row] for table in (rows, parts)] + [summed, edges, dipoles]
         lengths = [len(table) for table in tables]
         joined = torch.tensor([x for table in tables for x in table], dtype=torch.int32, device="cpu")
-        table, trees, of_seen, of_edges, with_dipoles = to_device(joined, device).split(lengths)
-        visited, slots = found.of_some(seen), first_edges[-1]
-        caps = caps_of(visited, structure.vertices.shape[0])
-        owners = of_seen.repeat_interleave(of_edges, output_size=slots)
+        table, trees, of_summed, of_edges, with_dipoles = to_device(joined, device).split(lengths)
+        of_seen, slots = of_summed[: len(seen)], first_edges[len(seen)]
+        visited = found.of_some(summed)
+        caps = caps_of(visited[:slots], structure.vertices.shape[0])
+        owners = of_summed.repeat_interleave(of_edges, output_size=first_edges[-1])
         frames = structure.frames[of_seen].view(-1)
         bounds = structure.bounds.view(-1, 6)[of_seen].view(-1)
         empty: Any = workspace(device)
+        self.sixteens = sixteens[-1]
         self.view, self.memory = OpenMeshes(), (joined, table, trees, visited, caps, owners, frames, bounds, empty)
         view, tree = self.view, Tree()
         tensors = structure.memory, structure.parts, structure.vertices, table, visited, caps, owners, frames, bounds
         with on_current_stream(structure.vertices, *tensors):
             set_array(view, "rows", as_warp(table, wp.int32))
-            set_array(view, "ends", empty(2 * slots, wp.vec3))
-            set_array(view, "lattice", empty(2 * slots, wp.vec2i))
+            set_array(view, "ends", empty(2 * first_edges[-1], wp.vec3))
+            set_array(view, "lattice", empty(2 * first_edges[-1], wp.vec2i))
             set_array(view, "moments", empty(nodes[-1] * MOMENTS_SIZE, wp.float32))
             arrays = {
                 "corners": empty(4 * slots, wp.vec3),
@@ -82,7 +103,8 @@ class OpenData:
             }
             for name, array in arrays.items():
                 set_array(tree, name, array)
-            tree.count, tree.depth, tree.meshes = max(edges, default=0), max(levels, default=0), len(parts)
+            tree.count = max(edges[: len(seen)], default=0)
+            tree.depth, tree.meshes = max(levels, default=0), len(parts)
             view.caps = tree
             vertices = as_warp(structure.vertices, wp.vec3)
             gather_edges(structure.view.tree, vertices, as_warp(visited, wp.int32), as_warp(owners, wp.int32), view)
