@@ -17,7 +17,7 @@ from sdm.bench.common.dirty_meshes.by_code import torn
 from sdm.bench.common.meshes import torus
 from sdm.engine.structure import sizes
 from tests.helpers.same_bits import assert_same_bits, difference
-from tests.property.test_open_point_lists import KINDS, kinds_of, points_around
+from tests.property.test_open_point_lists import KINDS, kinds_of, points_around, torn_mesh
 from tests.property.test_ragged_lists import SIGNS, assert_same_closest, random_grid, random_mesh
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("ignore::sdm.SDMWarning")]
@@ -102,12 +102,6 @@ def test_a_face_out_of_range_is_named_by_its_mesh() -> None:
         sdm.signed_distance_maps([good, good, bad, good], 16)
 
 
-def torn_mesh(rng: np.random.Generator) -> sdm.TriangleMesh:
-    mesh = random_mesh(rng)
-    faces = mesh.faces[torch.from_numpy(rng.random(len(mesh)) > 0.1)]
-    return sdm.TriangleMesh(mesh.vertices, faces if len(faces) else mesh.faces[:1]).to("cuda")
-
-
 @pytest.mark.parametrize("limits", KINDS, ids=str)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("max_bytes", [None, 1 << 22])
@@ -141,7 +135,7 @@ def test_points_near_many_boundary_edges() -> None:
 def test_points_wait_as_often_however_many_meshes() -> None:
     def waits(count: int) -> int:
         rng = np.random.default_rng(count)
-        meshes = [torn_mesh(rng) for _ in range(count)]
+        meshes = [torn_mesh(rng).to("cuda") for _ in range(count)]
         points = [points_around(rng, mesh, 2000, on_it=False) for mesh in meshes]
         torch.cuda.synchronize()
         with warnings.catch_warnings(record=True) as caught:
