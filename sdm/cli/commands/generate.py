@@ -113,15 +113,22 @@ def generate(
         shift: Largest random shift of the folder's meshes, as a share of their half-length.
         warp: How far the smooth random warp of the folder's meshes may bend, 0 to 0.95.
     """
-    import torch
+    from sdm.cli.common.imports_that_stay import imports_that_stay
+    from sdm.runtime import early_device
 
-    from sdm import dataset
-    from sdm.cli.common.progress import CountProgress
-    from sdm.dataset.writer import check_options, check_place
-    from sdm.errors import SDMError
-    from sdm.io.files.stand_in import shown
-    from sdm.runtime.pipeline.stage_times import StageTimes
-    from sdm.runtime.sharing.devices import devices_for
+    with imports_that_stay():
+        import sdm.kernels  # noqa: F401
+
+        early_device.begin(device if ray is None else early_device.CPU)
+        import torch
+
+        from sdm import dataset
+        from sdm.cli.common.progress import CountProgress
+        from sdm.dataset.writer import check_options, check_place
+        from sdm.errors import SDMError
+        from sdm.io.files.stand_in import shown
+        from sdm.runtime.pipeline.stage_times import StageTimes
+        from sdm.runtime.sharing.devices import devices_for
 
     if family is not None:
         source = _named(family, source)

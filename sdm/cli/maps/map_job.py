@@ -59,12 +59,12 @@ def maps_told(
     )
     most = TOGETHER if settings.device.type == "cuda" else 1
     with ExitStack() as stack:
-        beside = stack.enter_context(map_writers(writers, settings, 2 * writers + most)) if writers else None
         apart = None
         if reading:
-            # A system that allows no more processes has threads.
+            # A system that allows no more processes has threads. They are needed first.
             with suppress(OSError):
                 apart = stack.enter_context(WorkerProcesses(READ, reading))
+        beside = stack.enter_context(map_writers(writers, settings, 2 * writers + most)) if writers else None
         stages = MapStages(settings, progress, alone=single, writers=beside, readers=MapReaders(apart, settings.how))
         written = _written(tasks, count, settings, stages, readers, writers or threads, most, single, times)
         for number, task, outcome in stack.enter_context(closing(written)):

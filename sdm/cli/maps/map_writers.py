@@ -24,6 +24,8 @@ from sdm.runtime.worker_processes.rooms import SharedRooms
 from sdm.runtime.worker_processes.shared_memory import can_share
 
 T = TypeVar("T")
+# What those functions are in that `WRITE` is given.
+PACK = "sdm.io.files.nifti_stream"
 # Cores and maps for which it is worth starting processes.
 LEAST_CORES, LEAST_MAPS = 4, 32
 
@@ -74,7 +76,7 @@ def map_writers(count: int, settings: Settings, most: int) -> Iterator[MapWriter
     several = max(count, min(most, MOST_BYTES // size))
     with (
         SharedRooms(several, size, settings.device) as rooms,
-        WorkerProcesses(WRITE, count, shared=rooms.all) as workers,
+        WorkerProcesses(WRITE, count, shared=rooms.all, imports=[PACK]) as workers,
     ):
         yield MapWriters(workers, rooms)
 

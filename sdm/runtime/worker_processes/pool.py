@@ -52,11 +52,20 @@ class WorkerProcesses:
         count: Of processes.
         calls: That a process does at a time, each in a thread of its own.
         shared: Memory that they are to have: arrays in it are not copied.
+        imports: Further modules that calls will need, which the first of them then does not wait for.
 
     They end with this process, however that ends. An interrupt from the terminal is this process's alone.
     """
 
-    def __init__(self, function: str, count: int, *, calls: int = 1, shared: Sequence[SharedMemory] = ()) -> None:
+    def __init__(
+        self,
+        function: str,
+        count: int,
+        *,
+        calls: int = 1,
+        shared: Sequence[SharedMemory] = (),
+        imports: Sequence[str] = (),
+    ) -> None:
         self._workers: list[_Worker] = []
         self._idle, self._lock = threading.Semaphore(count * calls), threading.Lock()
         self._shared = shared
@@ -66,7 +75,7 @@ class WorkerProcesses:
                 worker = _started(handles, calls)
                 self._workers.append(worker)
                 worker.links[0].send(sys.path)
-                worker.links[0].send_bytes(function.encode())
+                worker.links[0].send_bytes(" ".join((function, *imports)).encode())
         except BaseException:
             self.close()
             raise

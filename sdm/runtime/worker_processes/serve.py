@@ -15,16 +15,18 @@ from typing import Any
 
 
 def serve(links: Sequence[Connection]) -> None:
-    """Take the name of a function (`module:function`), then its arguments again and again, and answer each.
+    """Take the name of a function (`module:function`) and of modules, then arguments again and again, and answer each.
 
     Each link has one call at a time, and they are done beside each other.
     """
     told: queue.SimpleQueue[tuple[Connection, bytes]] = queue.SimpleQueue()
-    name = _received(links[0]).decode()
+    name, *imports = _received(links[0]).decode().split()
     for link in links:
         threading.Thread(target=_listen, args=(link, told), daemon=True).start()
     module, _, name = name.partition(":")
     function: Callable[..., Any] = getattr(import_module(module), name)
+    for each in imports:
+        import_module(each)
     threads = ThreadPoolExecutor(len(links))
     while True:
         link, packed = told.get()

@@ -43,6 +43,10 @@ def process(seconds: float) -> int:
     return os.getpid()
 
 
+def has(module: str) -> bool:
+    return module in sys.modules
+
+
 BOTH = threading.Barrier(2)
 
 
@@ -109,6 +113,12 @@ def test_an_error_is_raised_here_and_the_process_goes_on(error):
             with pytest.raises(type(error), match=str(error).replace("[", r"\[")) as raised:
                 workers.call(error)
             assert getattr(raised.value, "errno", None) == getattr(error, "errno", None)
+
+
+@pytest.mark.parametrize("imports", [[], ["colorsys", "sched"]])
+def test_further_modules_are_imported_beforehand(imports):
+    with WorkerProcesses(f"{HERE}:has", 1, imports=imports) as workers:
+        assert [workers.call(name) for name in ("colorsys", "sched")] == [bool(imports)] * 2
 
 
 def test_one_that_dies_is_said():
