@@ -6,6 +6,8 @@ from __future__ import annotations
 import faulthandler
 import gc
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +15,10 @@ from pathlib import Path
 # take ten times as long. Warp's launches still use several. Torch reads this as it is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# A shell's job in the background ignores interrupts, and so would all commands that tests start and interrupt.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN and threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # What is imported and collected stays to the end. To look through it for garbage again and again is a tenth of a run.
 gc.disable()

@@ -98,6 +98,7 @@ def test_an_interrupt_leaves_no_process(tmp_path):
     limit = time.monotonic() + 100
     while not list(layout.part_of(target).glob("sha256/c/*/0")) and time.monotonic() < limit:
         time.sleep(0.01)
+    assert child.poll() is None
     workers = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
     # As a terminal does it: to the whole group.
     os.killpg(child.pid, signal.SIGINT)
