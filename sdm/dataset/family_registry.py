@@ -76,7 +76,7 @@ def family_of_manifest(manifest: dict[str, Any], given: Family | str | None = No
     Raises:
         SDMError: The record does not say it, names code and nobody does, or it is another one.
     """
-    source = manifest["source"] or {}
+    source = source_of(manifest)
     if given is None:
         if not source.keys() & {"family", "file", "folder"}:
             raise SDMError(
@@ -93,6 +93,15 @@ def family_of_manifest(manifest: dict[str, Any], given: Family | str | None = No
     if what is not None:
         raise SDMError(f"{family.name} is not the family that the dataset was made from: other {what}")
     return family
+
+
+def source_of(manifest: dict[str, Any]) -> dict[str, Any]:
+    """Source that a dataset was begun from; nothing where its record does not say it.
+
+    It depends on the sign which meshes of a folder can be used, of which old records tell in the recipe alone.
+    """
+    source, sign = manifest["source"] or {}, manifest["recipe"].get("sign")
+    return {"sign": sign, **source} if "folder" in source and sign not in (None, "winding") else source
 
 
 def with_reference(family: Family, source: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -231,9 +231,24 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
         # None says something about these, and nothing about the others.
         says = key in ("truncate", "hole_size") or (there is not None and value is not None)
         if says and there != value:
-            raise FormatError(
-                f"{path} has {key} {there}, but {value} was requested: ask for the same, or for a new one"
-            )
+            raise FormatError(_difference(found, path, key, there, value))
+
+
+def _difference(found: dict[str, Any], path: Path, key: str, there: Any, value: Any) -> str:
+    """A sentence about what a dataset was begun with, and what is requested in its place."""
+    folder = (found.get("source") or {}).get("folder")
+    if key == "family" and folder is not None:
+        named = f": name the folder by its path (./{value})" if Path(folder).name == value else ""
+        return f"{path} was begun from the folder {folder}, but the family {value} was requested{named}"
+    if key == "fingerprint":
+        what = f"the meshes of {folder} are" if folder is not None else f"{found['recipe']['family']} is"
+        return f"{what} not what {path} was begun from: other faces, constants or files; mend that, or begin a new one"
+    if key == "grid":
+        there, value = (
+            f"{grid.summary} from ({', '.join(f'{x:.4g}' for x in grid.origin)}) on"
+            for grid in (Grid(**there), Grid(**value))
+        )
+    return f"{path} has {key} {there}, but {value} was requested: ask for the same, or for a new one"
 
 
 def fill(

@@ -238,6 +238,7 @@ def _grid_of(begun: Grid | None, resolution: int | None, margin: float | None) -
 def _verify(source: str | None, options: dict[str, Any], out: Path, device: str, ray: str | None) -> int | None:
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
+    from sdm.dataset.family_registry import source_of
     from sdm.dataset.layout import part_of, shard_count
     from sdm.dataset.manifest import read_manifest
     from sdm.dataset.repair import damaged, mend_arrays
@@ -253,7 +254,7 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
         count = shard_count(manifest)
         print_line(f"{out}: {f'all {count:,} shards are' if count > 1 else 'its shard is'} sound")
         return None
-    known = manifest["source"] or {}
+    known = source_of(manifest)
     if source is not None:
         known = _describe(source, options, known.get("sign"))
     family = _family(known, True, named=source is not None)
@@ -271,6 +272,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     import torch
 
     from sdm.core.grid import Grid
+    from sdm.dataset.family_registry import source_of
     from sdm.dataset.layout import part_of
     from sdm.dataset.manifest import read_manifest
 
@@ -281,7 +283,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     options |= {"dtype": getattr(torch, recipe["dtype"])}
     options |= {key: manifest[key] for key in ("shard", "compression")}
     grid = Grid(**recipe["grid"])
-    return options, manifest["count"], grid, manifest["source"] or {}
+    return options, manifest["count"], grid, source_of(manifest)
 
 
 def _options(known: dict[str, Any]) -> dict[str, Any]:

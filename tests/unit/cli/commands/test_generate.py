@@ -209,8 +209,8 @@ def test_resume_refuses_what_the_dataset_is_not(tmp_path, capsys, family):
     assert run("cuboid", *own, "-o", out) == 0
     for words, message in (
         (["--count", "100"], "has count 5, but 100 was requested"),
-        (["--resolution", "32"], "has grid "),
-        (["--margin", "0.2"], "has grid "),
+        (["--resolution", "32"], "but 32 x 32 x 32 voxels of "),
+        (["--margin", "0.2"], "has grid 10 x 10 x 10 voxels of "),
         (["--seed", "0"], "has seed 3, but 0"),
         (["--sampler", "sobol"], "has sampler uniform, but sobol"),
         (["--dtype", "float16"], "has dtype float32, but float16"),
