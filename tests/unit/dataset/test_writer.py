@@ -10,12 +10,12 @@ import torch
 
 from sdm.core.grid import Grid
 from sdm.dataset.writer import processes_of
-from sdm.runtime.sharing import share_out
+from sdm.runtime.sharing import process_count
 
 
 @pytest.fixture(autouse=True)
 def many_cores(monkeypatch):
-    monkeypatch.setattr(share_out, "cores", lambda: 32)
+    monkeypatch.setattr(process_count, "cores", lambda: 32)
 
 
 def job(resolution: int) -> Any:
