@@ -45,7 +45,9 @@ NUMBERS = """
 """
 
 # The same with sixteen numbers where a CPU has registers of 512 bits, else eight; nothing on a GPU. What they are read
-# from has room for sixteen: of numbers of SIXTEEN places those of turn i begin at WIDE * i.
+# from has room for sixteen: of numbers of SIXTEEN places those of turn i begin at WIDE * i. Roots, and reciprocals by
+# `per`, are then one step of Newton's from 14 bits, which is within 1.2 roundings; `about` is those 14 bits, for what
+# only scales, and for bounds with room for it.
 SIXTEEN = 16
 WIDEST_NUMBERS = NUMBERS.replace(
     """constexpr int WIDE = 8;
@@ -57,6 +59,22 @@ WIDEST_NUMBERS = NUMBERS.replace(
 #else
     constexpr int WIDE = 8;
     typedef unsigned char Mask;
+#endif
+""",
+).replace(
+    "auto root = [](T x) { for (int k = 0; k < WIDE; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };",
+    """
+#if defined(__AVX512F__)
+    auto about = [](T x) { return (T)__builtin_ia32_rcp14ps512_mask(x, x, (unsigned short)-1); };
+    auto root = [](T x) {
+        const T some = x + 1.0e-37f, y = (T)__builtin_ia32_rsqrt14ps512_mask(some, some, (unsigned short)-1), r = x * y;
+        return r + (0.5f * y) * (x - r * r);
+    };
+    auto per = [&](T x) { const T y = about(x); return y + y * (1.0f - x * y); };
+#else
+    auto root = [](T x) { for (int k = 0; k < WIDE; ++k) x[k] = __builtin_sqrtf(x[k]); return x; };
+    auto about = [](T x) { return 1.0f / x; };
+    auto per = [](T x) { return 1.0f / x; };
 #endif
 """,
 )

@@ -31,6 +31,7 @@ READY = 64
     float* const voxels = places.data + at;
     constexpr int MOST = {MOST} / WIDE;
     const int groups = count / WIDE;
+    auto left_out = [&](int g) {{ return !(which >> (WIDE * g / {SIXTEEN}) & 1); }};
     T re[MOST], im[MOST], error[MOST], crossed[MOST];
     M turns[MOST];
     // Where the numbers of a group of voxels are.
@@ -73,6 +74,7 @@ READY = 64
         }}
         const float* const edges = reinterpret_cast<const float*>(ready);
         for (int g = 0; g < groups; ++g) {{
+            if (left_out(g)) continue;
             const float* const at_g = group(g);
             const T px = load(at_g + {X}), py = load(at_g + {Y}), pz = load(at_g + {Z});
             const T x = px - c.c[0], y = py - c.c[1], z = pz - c.c[2];
@@ -89,7 +91,7 @@ READY = 64
                 const T reach = of(LB) + lt, f2 = reach * of(K) - (x * of(MX) + y * of(MY) + z * of(MZ));
                 const T e1 = of(OFF_1) * ends2 + of(OFF_S) * (ls + lt) + of(OFF_Q), e2 = of(OFF_2) * reach + of(OFF_K);
                 const T sq = size_of(q), m1 = most_of(size_of(f1), sq), m2 = most_of(size_of(f2), sq);
-                const T product = m1 * m2, inverse = one / product;
+                const T product = m1 * m2, inverse = about(product);
                 const T u = (f1 * f2 - q * q) * inverse, w = q * (f1 + f2) * inverse;
                 // If it is less than a tenth, e1 and e2 are less than a tenth of m1 and m2.
                 const T part = (e1 * m2 + e2 * m1) * inverse, off = {SECOND}f * part + {8.0 * UNIT}f;
@@ -135,6 +137,7 @@ READY = 64
         const float fay = sign * ay, faz = sign * az, fby = sign * by, fbz = sign * bz;
         const bool flat = n <= off_n;
         for (int g = 0; g < groups; ++g) {{
+            if (left_out(g)) continue;
             const float* const at_g = group(g);
             const T x = load(at_g + {X}) - c.c[0], y = load(at_g + {Y}) - c.c[1], z = load(at_g + {Z}) - c.c[2];
             const T ua = z * fay - y * faz, ub = y * fbz - z * fby, over_it = ua + ub - n;
@@ -151,6 +154,7 @@ READY = 64
         }}
     }}
     for (int g = 0; g < groups; ++g) {{
+        if (left_out(g)) continue;
         T angle = none;
         if (near) angle = angle_of(re[g], im[g]);
         angle = where(error[g] < unknown, 2.0f * angle + {4.0 * wp.PI}f * __builtin_convertvector(turns[g], T), none);
@@ -176,6 +180,7 @@ def strips_of_box(
     places: wp.array(dtype=wp.float32),
     at: int,
     count: int,
+    which: int,
 ):
     """Write the shares of listed edges' strips of the winding numbers at the voxels of a box, up to MOST by sixteens,
     with what lies across the way from c to each; and their largest errors.
@@ -193,5 +198,6 @@ def strips_of_box(
         places: Numbers of sixteen voxels each, ROOM for each worker.
         at: Where this worker's begin.
         count: How many voxels, a multiple of sixteen.
+        which: A bit for each sixteen of them; others are left out.
     """
     ...

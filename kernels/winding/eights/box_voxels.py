@@ -14,6 +14,9 @@ from sdm.kernels.winding.settled_boxes import LAST_ROUNDING, LAST_ROUNDINGS
 
 wp.set_module_options({"enable_backward": False})
 
+# Behind eight bits, of the octants of a box that have voxels left in doubt, there is how many they are.
+OCTANTS = 256
+
 # The voxels of a box lie in 16 rows of four along z, four of which are two octants: where a row is along x and y.
 _OF_ROW = "const int i = 2 * (row >> 3) + (row >> 1 & 1), j = 2 * (row >> 2 & 1) + (row & 1);"
 
@@ -119,6 +122,7 @@ def write_voxels(slab: Slab, start: wp.vec3i, scale: float, places: wp.array(dty
         for (unsigned some = bits_of(left & ~sure); some; some &= some - 1) {{
             const int n = WIDE * g + __builtin_ctz(some);
             undone |= 1 << (2 * (n >> 4) + (n >> 1 & 1));
+            undone += {OCTANTS};
         }}
     }}
 #endif
@@ -163,7 +167,8 @@ def settle_voxels(
     sign: float,
     change: float,
 ):
-    """Open the voxels of a box of 4^3 that are left in no doubt; the octants that hold others, a bit for each.
+    """Open the voxels of a box of 4^3 that are left in no doubt; the octants that hold others, a bit for each, and
+    OCTANTS times how many these are.
 
     Args:
         field: What is to be added to crossings, about `c`.
@@ -208,3 +213,11 @@ def octants_left(values: wp.array4d(dtype=wp.float32), mesh: int, start: wp.vec3
     there are from `start` on.
     """
     ...
+
+
+@wp.func
+def sixteens_left(values: wp.array4d(dtype=wp.float32), mesh: int, start: wp.vec3i, within: wp.vec3i):
+    """The pairs of those octants, sixteen voxels each, that have such voxels, a bit for each."""
+    octants = octants_left(values, mesh, start, within)
+    pairs = octants | (octants >> 1)
+    return (pairs & 1) | ((pairs >> 1) & 2) | ((pairs >> 2) & 4) | ((pairs >> 3) & 8)

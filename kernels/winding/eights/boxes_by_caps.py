@@ -24,7 +24,7 @@ from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen, place_in_box
 from sdm.kernels.winding.eights.box_nodes import nodes_of_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
-from sdm.kernels.winding.eights.box_voxels import octants_left, settle_voxels, write_voxels
+from sdm.kernels.winding.eights.box_voxels import OCTANTS, octants_left, settle_voxels, write_voxels
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.large_boxes import open_large_boxes
 from sdm.kernels.winding.eights.near_nodes import (
@@ -253,7 +253,7 @@ def open_box(
             undone = settle_voxels(
                 field, slab, values, mesh, start, places, at_places, centre, plain, field.near > 0, -1.0, change
             )
-        return undone
+        return undone & (OCTANTS - 1)
     for eighth in range(1 << (3 * (size - 1))):
         corner = start + 2 * place_in_box(eighth, size - 1)
         some = int(0)

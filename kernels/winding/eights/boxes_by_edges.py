@@ -1,7 +1,8 @@
 """Winding numbers of a mesh with few boundary edges by the edges alone, on a CPU: eight edges or voxels at once.
 
-As `rims.edge_boxes` has it for a GPU: boxes with a polynomial of the far strips and a list of the near ones, then the
-sum over all edges for each voxel that is left in doubt, in float32 and, where that is not enough, in float64.
+Boxes of 8^3 come first (`boxes_handing_down`). What they leave in doubt is looked at as `rims.edge_boxes` has it for a
+GPU: boxes of 4^3 with a polynomial of the far strips and a list of the near ones, then the sum over all edges for each
+voxel that is left in doubt, in float32 and, where that is not enough, in float64.
 """
 
 from __future__ import annotations
@@ -23,7 +24,15 @@ from sdm.kernels.winding.cap_field import ONE_OVER_FULL, doubt, most_change
 from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.eights.box_strips import ROOM as PLACES
 from sdm.kernels.winding.eights.box_strips import strips_of_box
-from sdm.kernels.winding.eights.box_voxels import settle_voxels, write_voxels
+from sdm.kernels.winding.eights.box_voxels import OCTANTS, settle_voxels, sixteens_left, write_voxels
+from sdm.kernels.winding.eights.boxes_handing_down import (
+    FOR_LARGE,
+    FOR_OCTANTS,
+    KEPT,
+    LARGE_BITS,
+    MOST_ERROR,
+    open_by_octants,
+)
 from sdm.kernels.winding.eights.exact_sum import exact_share
 from sdm.kernels.winding.eights.packed_edges import ROW, look_at_eights, pack_edges, sum_of_eights
 from sdm.kernels.winding.looks.count_places import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
@@ -31,13 +40,17 @@ from sdm.kernels.winding.rims.edge_boxes import TOLERANCES
 from sdm.kernels.winding.rims.radial_strips import ACROSS_BOX, NEAR
 from sdm.kernels.winding.rims.single_voxels import place_of_voxel
 from sdm.kernels.winding.rims.strip_looks import ASIDE, ROOM, WIDER, field_of
-from sdm.kernels.winding.settled_boxes import MOST_DOUBT, is_left, is_sure, opened
+from sdm.kernels.winding.settled_boxes import is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
 
 _ROOM = ROOM["cpu"]
 # Of the size of boxes, which `box_voxels` settles.
 BOX_BITS = 2
+# What an edge's polynomial may leave out of the solid angle in boxes that larger ones have left in doubt.
+LEFT_OUT_AGAIN = 2e-3
+# Larger boxes come first if there are so many for each thread.
+FEWEST_LARGE = 4
 
 
 @wp.kernel
@@ -52,6 +65,8 @@ def _open_boxes_by_eights(
     bits: int,
     tolerance: float,
     cells: wp.vec3i,
+    again: wp.array(dtype=wp.int32),
+    length_again: int,
     left: wp.array(dtype=wp.int32),
     left_octants: wp.array(dtype=wp.int32),
     next_item: int,
@@ -64,15 +79,24 @@ def _open_boxes_by_eights(
 ):
     """Open boxes of 4^3 voxels (`bits` is 2), `cells` along each axis; list those that leave some in doubt.
 
-    `next_item`, `looked` and `length` are places of the counts.
+    All of them, or those that are listed `again`, whose number is at a place of the counts, if that is not negative.
+    `next_item`, `looked` and `length` are places of the counts, too.
     """
     stack = large_stack_of(stacks, begin + wp.tid())
     at_places = (begin + wp.tid()) * PLACES
     total = values.shape[0] * cells[0] * cells[1] * cells[2]
     across_room = LARGE_STACK_ON_CPU - _ROOM
-    item = fetch_add_once(counts, next_item, 1, 0)
-    while item < total:
+    if length_again >= 0:
+        total = counts[length_again]
+    number = fetch_add_once(counts, next_item, 1, 0)
+    while number < total:
+        item = number
+        if length_again >= 0:
+            item = again[number]
         mesh, at = unravel(item, cells)
+        which = int(15)
+        if length_again >= 0:
+            which = sixteens_left(values, mesh, 4 * at, slab.shape - 4 * at)
         scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
         here = slab_of(slab, mesh)
         start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
@@ -92,21 +116,23 @@ def _open_boxes_by_eights(
         error = doubt(field)
         middle = float(field.value) * ONE_OVER_FULL
         plain = near + across == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
-        if near > _ROOM or across > across_room or not error < MOST_DOUBT:
+        if near > _ROOM or across > across_room or not error < MOST_ERROR:
             undone = int(255)
         else:
             listed = near + across > 0
             if not plain:
                 write_voxels(here, start, scale, places, at_places)
                 if listed:
-                    strips_of_box(rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, 64)
+                    strips_of_box(
+                        rows, mesh * blocks, stack, 0, near, _ROOM, across, c, radius, places, at_places, 64, which
+                    )
             undone = settle_voxels(field, here, values, mesh, start, places, at_places, c, plain, listed, 1.0, change)
         fetch_add(counts, looked, 1)
         if undone != 0:
             place = fetch_add(counts, length, 1)
             left[place] = item
-            left_octants[place] = undone
-        item = fetch_add_once(counts, next_item, 1, 0)
+            left_octants[place] = undone & (OCTANTS - 1)
+        number = fetch_add_once(counts, next_item, 1, 0)
 
 
 @wp.kernel
@@ -174,10 +200,18 @@ def open_edges_by_eights(
     bits, tolerance = BOX_BITS, TOLERANCES["cpu"]
     level = BITS.index(bits)
     at, after = STRIDE * level, STRIDE * (level + 1)
-    cells = wp.vec3i(*(-(-n >> bits) for n in shape))
-    left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
-    inputs = [tree, boundary, rows, packed, blocks, slab, bits, tolerance, cells, left, left_octants]
-    inputs += [at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, places, values]
+    cells, large = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits, LARGE_BITS))
+    again, left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(3))
+    length_again = -1
+    if meshes * large[0] * large[1] * large[2] >= FEWEST_LARGE * threads():
+        length_again, tolerance = at + LENGTH, LEFT_OUT_AGAIN
+        kept = empty(workers * KEPT, wp.float32)
+        first = STRIDE * BITS.index(LARGE_BITS)
+        inputs = [tree, rows, packed, blocks, slab, FOR_LARGE, FOR_OCTANTS, large, cells, again, left, left_octants]
+        inputs += [first + NEXT, first + LOOKED, length_again, after + LENGTH, counts, stacks, places, kept, values]
+        launch(open_by_octants, workers, inputs, device, smallest=1)
+    inputs = [tree, boundary, rows, packed, blocks, slab, bits, tolerance, cells, again, length_again]
+    inputs += [left, left_octants, at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, places, values]
     launch(_open_boxes_by_eights, workers, inputs, device, smallest=1)
     inputs = [tree, boundary, rows, packed, blocks, slab, bits, cells, left, left_octants]
     inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, values]

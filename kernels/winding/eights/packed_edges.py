@@ -30,6 +30,7 @@ from sdm.kernels.winding.rims.float32_sum import (
     SHRINK,
     SNAP_ACROSS,
     SNAP_ALONG,
+    SUMMED,
     TURNED,
     TURNED_MORE,
 )
@@ -112,7 +113,7 @@ def pack_edges(
 
 
 # As many edges as a register holds, as they are seen from a place `c`, and which of them are there.
-_EDGES = f"""
+EDGES = f"""
         T ga[3], gb[3], length, per_length, times;
         const float* row = rows.data + {ROW} * (size_t)(first + WIDE * i / {SIXTEEN}) + WIDE * i % {SIXTEEN};
         for (int k = 0; k < 3; ++k) {{
@@ -136,13 +137,13 @@ _EDGES = f"""
         const T ss = where(up_a, aside_a, far_a) * where(up_b, aside_b, far_b);
         const T x = ss + yz * scale, y = -nx * scale, sx = size_of(x), sy = size_of(y), most = most_of(sx, sy);
 """
-_TURN = f"""
+TURN = f"""
         {{
             const T snap = both * scale;
             const T dx = {PARTS}f * (ss + size_of(yz) * scale + sy) + {SNAP_ALONG}f * snap;
             const T dy = {ACROSS}f * scale * (size_of(one_way) + size_of(other_way)) + {SNAP_ACROSS}f * snap;
             const M known = (most > 10.0f * (dx + dy)) & (most < all({LARGEST}f)) & ((x > none) | (sy > dy));
-            const T inverse = one / most, part = sy * inverse;
+            const T inverse = about(most), part = sy * inverse;
             const T off = {SECOND}f * inverse * (part * dx + dy) + ({TURNED_MORE}f * part + {TURNED}f);
             error = error + where(there, where(known, times * off, unknown), none);
             const T u = x * inverse, v = y * inverse;
@@ -164,37 +165,49 @@ _TURN = f"""
             }}
         }}
 """
-_BEGIN = """
+BEGIN_SUMS = """
     M numbers;
     for (int k = 0; k < WIDE; ++k) numbers[k] = k;
     T re = one, im = none, error = none;
     M crossings = {};
 """
 # What is not known may be no number.
-_END = """
+END_SUMS = f"""
     const M sure = error < unknown;
     const T turns = where(sure, __builtin_convertvector(crossings, T), none);
     re = where(sure, re, one);
     im = where(sure, im, none);
+    // The product of them all, so that one argument is enough, by halves of what is left.
+    T turned = turns;
+    const T size_of_it = about(most_of(size_of(re), size_of(im)));
+    re = re * size_of_it;
+    im = im * size_of_it;
+    for (int half = WIDE / 2; half > 0; half /= 2) {{
+        T other_re, other_im;
+        for (int k = 0; k < WIDE; ++k) {{
+            other_re[k] = re[(k + half) % WIDE];
+            other_im[k] = im[(k + half) % WIDE];
+        }}
+        const T new_re = re * other_re - im * other_im, new_im = re * other_im + im * other_re;
+        const M below = (M)im, other_below = (M)other_im, below_now = (M)new_im;
+        M crossed = (M)((U)(~below & ~other_below & below_now) >> 31);
+        crossed -= (M)((U)(below & other_below & ~below_now) >> 31);
+        for (int k = 0; k < WIDE; ++k) crossed[k] = k < half ? crossed[k] : 0;
+        turned = turned + __builtin_convertvector(crossed, T);
+        re = new_re;
+        im = new_im;
+    }}
+    float all_turns = 0.0f, all_errors = 0.0f;
+    for (int k = 0; k < WIDE; ++k) {{ all_turns += turned[k]; all_errors += error[k]; }}
+    const float angle = atan2f(im[0], re[0]) + {2.0 * wp.PI}f * all_turns;
+    const float share = angle * {1.0 / (2.0 * wp.PI)}f;
+    const float off = (all_errors + {SUMMED}f * (WIDE + fabsf(angle))) * {1.0 / (2.0 * wp.PI)}f;
 """
-
-
-@wp.func_native(
-    snippet=f"""
-    {WIDEST_NUMBERS}
-    wp::vec_t<23, float> found;
-#if !defined(__CUDA_ARCH__)
-    {_BEGIN}
-    {SUMS_OF_LOOK}
-    const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
-    for (int i = 0; WIDE * i < count; ++i) {{
-        {_EDGES}
-        {_TURN}
-        // The polynomial, as `cap_taylor.add_edge` has it.
-        const T ny = az * ex - ax * ez, nz = ax * ey - ay * ex;
+# Which edges are far for a ball about `c`, and the derivatives of those, as `cap_taylor.add_edge` has them.
+FAR = f"""const T ny = az * ex - ax * ez, nz = ax * ey - ay * ex;
         const T flat = root(nx * nx + ny * ny + nz * nz);
         const T d = 0.999f * most_of(flat * per_length, 0.5f * (both - length)) - 1.0e-6f * both;
-        const T per_d = one / d, rho = radius * per_d, reach = least(length * per_d, all(1.5707964f));
+        const T per_d = about(d), rho = radius * per_d, reach = least(length * per_d, all(1.5707964f));
         const T size = la * lb, k = size + ax * bx + yz;
         const T bound = reach * (rho * rho) * (rho * rho) * (1.0f + rho + 2.0f * rho * rho);
         const M far = there & (d > all({NEAREST_EDGE}f * radius)) & (k * {LARGEST_RATIO}f > size)
@@ -202,8 +215,8 @@ _END = """
         if (any(far)) {{
             const T fla = where(far, la, one), flb = where(far, lb, one), fk = where(far, k, one);
             const T part = where(far, times, none), fx = part * nx, fy = part * ny, fz = part * nz;
-            const T pair = fla * flb, per = one / (pair * fk);
-            const T ia = per * flb * fk, ib = per * fla * fk, ik = per * pair;
+            const T pair = fla * flb, inv = per(pair * fk);
+            const T ia = inv * flb * fk, ib = inv * fla * fk, ik = inv * pair;
             const T w = ia + ib, s1 = w * ik, sum = fla + flb;
             const T once = sum * ik * ik, pull = w * once, ia2 = ia * ia, ib2 = ib * ib;
             const T fa = ia * (ia2 * ik + pull), fb = ib * (ib2 * ik + pull);
@@ -212,7 +225,8 @@ _END = """
             {DERIVATIVES}
             const T squared = (size_of(sx) + size_of(sy) + size_of(sz)) * square;
             const T change = s1 * radius + squared + cube * (p + 2.0f * q + r - 3.0f * level);
-            const T off = change * (20.0f * fla * length + flat * (20.0f * pair * ik + 40.0f)) + 2.0f * reach * per_d;
+"""
+ADD = f"""const T off = change * (20.0f * fla * length + flat * (20.0f * pair * ik + 40.0f)) + 2.0f * reach * per_d;
             slope[0] = slope[0] + s1 * fx;
             slope[1] = slope[1] + s1 * fy;
             slope[2] = slope[2] + s1 * fz;
@@ -233,22 +247,43 @@ _END = """
             cubes[5] = cubes[5] + my * yy;
             cubes[6] = cubes[6] + (mz * yy + my * yz2);
             drift = drift + where(far, part * change * flat, none);
-            bounds = bounds + where(far, part * ({1.0002}f * bound + {UNIT}f * off), none);
+            bounds = bounds + where(far, part * ({1.0006}f * bound + {UNIT}f * off), none);
             steps = steps + where(far, one, none);
-        }}
-        // Strips along -x across the box: a line and a rectangle, seen along x.
+"""
+MET = f"""// Strips along -x across the box: a line and a rectangle, seen along x.
         const T snap = 2.0e-6f * (1.0f + both);
         {MET_ACROSS}
-        const M near_here = there & ~far;
-        if (any(near_here | met)) {{
+"""
+LISTS = """const M near_here = there & ~far;
+        if (any(near_here | met)) {
             for (unsigned left = bits_of(near_here); left; left &= left - 1, ++near)
                 if (near < room) stack.data[near_at + near] = WIDE * i + __builtin_ctz(left);
             for (unsigned left = bits_of(met); left; left &= left - 1, ++across)
                 if (across < room_across) stack.data[across_at + across] = WIDE * i + __builtin_ctz(left);
+        }
+"""
+LOOK_ALONE = LOOK_OF_SUMS.replace(SHARES, "")
+
+
+@wp.func_native(
+    snippet=f"""
+    {WIDEST_NUMBERS}
+    wp::vec_t<23, float> found;
+#if !defined(__CUDA_ARCH__)
+    {BEGIN_SUMS}
+    {SUMS_OF_LOOK}
+    const float room_y = half.c[1] * 1.0001f, room_z = half.c[2] * 1.0001f;
+    for (int i = 0; WIDE * i < count; ++i) {{
+        {EDGES}
+        {TURN}
+        {FAR}
+            {ADD}
         }}
+        {MET}
+        {LISTS}
     }}
-    {_END}
-    {LOOK_OF_SUMS}
+    {END_SUMS}
+    {LOOK_ALONE}
 #endif
     return found;
 """
@@ -277,13 +312,12 @@ def look_at_eights(
     snippet=f"""
     {WIDEST_NUMBERS}
 #if !defined(__CUDA_ARCH__)
-    {_BEGIN}
+    {BEGIN_SUMS}
     for (int i = 0; WIDE * i < count; ++i) {{
-        {_EDGES}
-        {_TURN}
+        {EDGES}
+        {TURN}
     }}
-    {_END}
-    {SHARES}
+    {END_SUMS}
     return wp::vec2(share, off);
 #else
     return wp::vec2(0.0f, 0.0f);

@@ -13,6 +13,7 @@ import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums, open_caps
+from sdm.kernels.winding.eights import boxes_by_edges
 from sdm.kernels.winding.rims import edge_boxes, every_voxel, exact_voxels
 from tests.helpers import strategies
 
@@ -109,6 +110,8 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
         patch.setattr(column_sums, "FACES_AN_EDGE", dict.fromkeys(("cuda", "cpu"), (0, np.inf)))
         patch.setitem(edge_boxes.BOX_BITS, "cpu", 1 + seed % 2)
         patch.setitem(edge_boxes.FEWEST_LARGE, "cpu", (0, np.inf)[seed // 2 % 2])
+        patch.setattr(boxes_by_edges, "FEWEST_LARGE", (0, 1, np.inf)[seed // 2 % 3])
+        patch.setattr(boxes_by_edges, "FOR_LARGE", (boxes_by_edges.FOR_LARGE, 1.0, 1e-4)[seed // 7 % 3])
         patch.setattr(edge_boxes, "LEAST_VOXELS", (edge_boxes.LEAST_VOXELS, 1)[seed // 3 % 2])
         for module in (open_caps, exact_voxels):
             # Many groups at one voxel, too.

@@ -52,7 +52,7 @@ def _look(
         p = c + radius * ways[i, k]
         for axis in range(3):
             numbers[at + SIXTEEN * axis + k] = p[axis]
-    strips_of_box(rows, 0, stack, 0, near, ROOM, across, c, radius, numbers, at, POINTS)
+    strips_of_box(rows, 0, stack, 0, near, ROOM, across, c, radius, numbers, at, POINTS, 1)
     for k in range(POINTS):
         p = wp.vec3(numbers[at + X + k], numbers[at + Y + k], numbers[at + Z + k])
         exact = boundary_winding(boundary, tree, 0, wp.vec3d(p))
