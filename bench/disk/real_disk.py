@@ -5,9 +5,9 @@
 By turns: the command, then files of the sizes that it wrote by plain writers: one after the other, each flushed; the
 same by threads; and these past the system's cache. The engine alone makes the same and keeps nothing. Output is removed
 after each turn. The share is that of the best of the three writers, or of the engine where that is slower, which the
-command reaches between a quarter and nineteen twentieths of its work (`steady`), and `with_start`, from its call on,
-with kernels that have been loaded before. Commands choose their processes themselves, if `--processes` does not say how
-many measure on the GPU.
+command reaches between a quarter and nineteen twentieths of its work (`steady`), and `with_start`: of `sdm compute`
+from the command's start to its exit, of `sdm generate` from its call on, with kernels that have been loaded before.
+Commands choose their processes themselves. If `--processes` says how many measure on the GPU, both are calls.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sdm.bench.common.machine import describe
 from sdm.bench.disk.devices import MAPS_AT, MESHES_AT, TRIANGLES, meshes_in
 from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate
 from sdm.bench.disk.plain_writer import plain_seconds
-from sdm.bench.disk.steady import compute_rates, generate_rates
+from sdm.bench.disk.steady import command_rates, compute_rates, generate_rates
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.thread_count import writers_beside
 from sdm.shapes import Cochlea
@@ -79,7 +79,9 @@ def works(names: list[str], folder: Path, maps: int, meshes: int, device: str, p
 
     def measure(out: Path, times: StageTimes, ending: str) -> Any:
         jobs = [(file, out / f"{file.stem}{ending}") for file in files]
-        return compute_rates(jobs, MESHES_AT, device, times, processes=several.get("processes"))
+        if not processes:
+            return command_rates(jobs, MESHES_AT, device, times)
+        return compute_rates(jobs, MESHES_AT, device, times, processes=several["processes"])
 
     found = []
     for name in names:

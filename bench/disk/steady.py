@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -55,6 +58,24 @@ def compute_rates(
         compute(jobs, settings, devices=[device], processes=processes, times=times)
     written = sorted(target.stat().st_mtime for _, target in jobs)
     return rates(begin, written, list(range(1, len(written) + 1)))
+
+
+def command_rates(jobs: list[tuple[Path, Path]], resolution: int, device: str, times: StageTimes) -> dict[str, float]:
+    """Rates of `sdm compute` as called from a shell, by the times of its files; of all from its start to its exit.
+
+    All maps go to one folder, and are named like their meshes.
+    """
+    out, ending = jobs[0][1].parent, "".join(jobs[0][1].suffixes).removeprefix(".")
+    report = out.with_name(f"{out.name}-report.json")
+    words = ["compute", *(str(source) for source, _ in jobs), "-o", f"{out}/", "--format", ending, "--report", report]
+    words += ["--resolution", str(resolution), "--device", device]
+    begin = time.time()
+    subprocess.run([sys.executable, "-m", "sdm", *words], check=True, stdout=subprocess.DEVNULL)
+    seconds = time.time() - begin
+    times.hear("command", ({}, json.loads(report.read_text())["seconds_of_stages"]))
+    report.unlink()
+    written = sorted(target.stat().st_mtime for _, target in jobs)
+    return {**rates(begin, written, list(range(1, len(written) + 1))), "of_all": round(len(jobs) / seconds, 3)}
 
 
 def generate_rates(

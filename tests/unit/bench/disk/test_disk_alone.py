@@ -15,6 +15,7 @@ from sdm.bench.disk.plain_writer import plain_seconds
 from sdm.bench.disk.real_disk import WORKS, row_of, works
 from sdm.bench.disk.steady import bytes_in, rates
 from sdm.runtime.file_space import take_space
+from sdm.runtime.pipeline.stage_times import StageTimes
 
 
 @pytest.mark.parametrize("direct", [False, True])
@@ -63,6 +64,20 @@ def test_a_row_of_each_work(tmp_path, monkeypatch, capsys):
     assert [row["work"] for row in found] == names
     assert all(row["of_smaller"] > 0 and row["of_one_after_the_other"] >= row["of_smaller"] for row in found)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_command_is_measured_to_its_exit(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sdm.bench.disk.real_disk.TRIANGLES", 500)
+    monkeypatch.setattr("sdm.bench.disk.real_disk.MESHES_AT", 8)
+    (work,) = works([WORKS[3]], tmp_path, 2, 3, "cpu", 0)
+    (tmp_path / "out").mkdir()
+    times = StageTimes()
+    found = work.run(tmp_path / "out", times)
+    # The start of Python counts, which no three such meshes take.
+    assert 0 < found["of_all"] < 30
+    assert len(list((tmp_path / "out").glob("*.nii.gz"))) == 3
+    assert min(times.seconds[stage] for stage in ("read", "cpu", "write")) > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["meshes", "out"]
 
 
 def test_ways_to_share_and_pairs(tmp_path, monkeypatch, capsys):
