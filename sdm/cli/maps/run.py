@@ -65,6 +65,8 @@ def run(
         account = MapAccount(tasks, manifest, progress)
         wanted = account.wanted
         processes = processes_of(len(wanted), settings, devices) if processes is None else processes
+        if others is not None:
+            others.keep(len(processes) - 1 if wanted else 0)
         if wanted and (ray is not None or len(processes) > 1):
             size = shard_size(len(wanted), 0 if ray is not None else len(processes))
             each = 1 if ray is not None else len(processes) // len(set(processes))

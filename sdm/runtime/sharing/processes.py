@@ -114,12 +114,16 @@ class OtherProcesses:
             todo: Shards that nobody has begun.
             devices: Of each process. If there are more processes, they are ended.
         """
-        self._end(self._workers[len(devices) :])
+        self.keep(len(devices))
         for (worker, link), device in zip(self._workers, devices, strict=False):
             given = pickle.dumps((job, device))
             thread = threading.Thread(target=self._attend, args=(worker, device, link, given, todo), daemon=True)
             self._threads.append(thread)
             thread.start()
+
+    def keep(self, count: int) -> None:
+        """End all but so many, which would hold memory of their devices."""
+        self._end(self._workers[count:])
 
     def __enter__(self) -> Self:
         return self

@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 
 from sdm.cli.maps import map_sharing
 from sdm.cli.maps.map_sharing import early_processes
+from sdm.cli.maps.run import run
 from sdm.runtime.sharing import process_count
 from sdm.runtime.sharing.process_count import gpus_expected
 from sdm.runtime.sharing.processes import OtherProcesses, run_here
+from tests.helpers.map_settings import map_settings
 
 
 @pytest.fixture
@@ -112,6 +115,18 @@ def test_processes_that_nobody_needs_are_ended():
         workers = [worker for worker, _ in others._workers]
         assert all(worker.is_alive() for worker in workers)
     assert not any(worker.is_alive() for worker in workers)
+
+
+def test_one_process_alone_keeps_no_other(tmp_path, capsys):
+    """As where fewer meshes are left, or torch sees no GPU: they would hold memory all the time."""
+    ball = tmp_path / "ball.ply"
+    trimesh.creation.icosphere(1).export(ball)
+    with OtherProcesses(__name__) as others:
+        others.start(["cpu"] * 2)
+        workers = [worker for worker, _ in others._workers]
+        run([(ball, tmp_path / "map.npz")], map_settings(8), processes=["cpu"], others=others)
+        assert not any(worker.is_alive() for worker in workers)
+    assert (tmp_path / "map.npz").exists()
 
 
 # The others are started before this process imports what takes long.
