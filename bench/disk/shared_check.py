@@ -28,7 +28,7 @@ from sdm.bench.common.machine import describe
 from sdm.bench.disk.inputs import write_meshes
 from sdm.cli.app import main as sdm_command
 from sdm.dataset.layout import part_of
-from sdm.runtime.sharing import share_out
+from sdm.runtime.sharing import process_count
 from sdm.runtime.sharing.devices import devices_for
 
 # Reports tell how long things took.
@@ -52,14 +52,14 @@ def command(words: list[str]) -> tuple[int, str, float]:
 def same_files(name: str, words: list[str], folder: Path, first: str) -> dict[str, Any]:
     """A row: the command by one process and by all, and how many files are the same."""
     found, seconds = [], []
-    for device, start in ((first, share_out.START), ("auto", 0.0)):
-        out, before = folder / device.replace(":", "-") / name, share_out.START
+    for device, start in ((first, process_count.START), ("auto", 0.0)):
+        out, before = folder / device.replace(":", "-") / name, process_count.START
         out.parent.mkdir(exist_ok=True)
-        share_out.START = start
+        process_count.START = start
         try:
             code, said, spent = command([*words, "-o", str(out), "--device", device])
         finally:
-            share_out.START = before
+            process_count.START = before
         if code:
             raise SystemExit(f"{name} by {device}: exit code {code}: {said}")
         found.append(files_in(out))
