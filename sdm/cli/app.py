@@ -8,9 +8,8 @@ import importlib
 import io
 import os
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.renamed_options import renamed
 from sdm.cli.common.termination import Terminated, raised_termination
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
-from sdm.errors import SDMWarning
+from sdm.cli.told_warnings import warnings_in_a_line
 from sdm.runtime import torch_libraries
 
 # In the order of the help text.
@@ -115,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command = _parse(local)
             if words and words[0] in WITH_KERNELS and command is not _nothing:
                 announce_compiling()
-            with _warnings_in_a_line():
+            with warnings_in_a_line():
                 code = _told_by_addresses(command)
         sys.stdout.flush()
     except UsageError as error:
@@ -156,23 +155,6 @@ def _told_by_addresses(command: Callable[[], int | None]) -> int | None:
         if reason is None:
             raise
         return _complain(reason)
-
-
-@contextmanager
-def _warnings_in_a_line() -> Iterator[None]:
-    """Print what the library warns of as commands do, each time, and without the line of the source."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", SDMWarning)
-        usual = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(category, SDMWarning):
-                print_line(f"sdm: warning: {message}", error=True)
-            else:
-                usual(message, category, *where, **more)
-
-        warnings.showwarning = show
-        yield
 
 
 def _open_streams() -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
-from collections.abc import Callable
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,13 @@ import nibabel as nib
 import numpy as np
 import torch
 from nibabel.fileholders import FileHolder
-from nibabel.imageglobals import LoggingOutputSuppressor
+from nibabel.imageglobals import logger as nibabel_logger
 from nibabel.nifti2 import Nifti2Header
 from nibabel.openers import ImageOpener
 
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
-from sdm.errors import FormatError
+from sdm.errors import FormatError, SDMWarning
 from sdm.io.files.nifti_stream import pieces, write_and_count, write_file
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
@@ -42,6 +46,32 @@ BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
 # The last entry of a record whose values nobody has looked at.
 OPEN_ENTRY = to_line({CHECKSUM: OPEN}).encode()[1:-1]
+
+
+class _Remarks(threading.local):
+    """Log of nibabel about a file that this thread reads, which it would print as it is."""
+
+    said: list[str] | None = None
+
+    @contextmanager
+    def heard(self) -> Iterator[list[str]]:
+        """Remarks of the block, which are not printed."""
+        before, self.said = self.said, []
+        try:
+            yield self.said
+        finally:
+            self.said = before
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """See `logging.Filter`."""
+        if self.said is None:
+            return True
+        self.said.append(record.getMessage())
+        return False
+
+
+_remarks = _Remarks()
+nibabel_logger.addFilter(_remarks.filter)
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -84,7 +114,7 @@ def _head(field: SDM, kept: dict[str, Any], space: int) -> bytes:
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
     with held(path) as holder:
-        image = opened(path, holder)
+        image = opened(path, holder, with_lengths=True)
         grid, count, kept = _geometry(image, path)
         values = plain_numbers(np.asanyarray(image.dataobj).reshape(grid.shape), path)
         verify(kept, values, str(path))
@@ -93,7 +123,7 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
-    return _geometry(opened(path), path)[0]
+    return _geometry(opened(path, with_lengths=True), path)[0]
 
 
 def is_placed(path: Path) -> bool:
@@ -108,8 +138,8 @@ def read_record(path: Path) -> Any:
     return next((found for found in kept if found is not None), None)
 
 
-def opened(path: Path, holder: FileHolder | None = None) -> Any:
-    """An image of NIfTI-1 or NIfTI-2, whose values are not yet read.
+def opened(path: Path, holder: FileHolder | None = None, *, with_lengths: bool = False) -> Any:
+    """An image of NIfTI-1 or NIfTI-2, whose values are not yet read. `with_lengths` warns of those that are guessed.
 
     Raises:
         FormatError: It is neither.
@@ -119,9 +149,19 @@ def opened(path: Path, holder: FileHolder | None = None) -> Any:
         head = file.read(Nifti2Header.template_dtype.itemsize)
     for kind in (nib.Nifti1Image, nib.Nifti2Image):
         if kind.header_class.may_contain_header(head):
-            # Its remarks about voxel sizes and offsets are for those who write files.
-            with LoggingOutputSuppressor():
-                return kind.from_file_map({"image": holder or FileHolder(str(path))})
+            with _remarks.heard() as remarks:
+                image = kind.from_file_map({"image": holder or FileHolder(str(path))})
+            # Other remarks are for those who write files. Of a header with an sform voxel sizes say nothing.
+            guessed = any("0 dims" in remark for remark in remarks)
+            if with_lengths and guessed and int(image.header["sform_code"]) == 0:
+                header = kind.header_class(head[: kind.header_class.sizeof_hdr], check=False)
+                sizes = ", ".join(f"{size:g}" for size in header["pixdim"][1:4])
+                warnings.warn(
+                    f"{path} has voxel sizes of ({sizes}): a size of 0 is read as 1, so that lengths may be wrong",
+                    SDMWarning,
+                    stacklevel=2,
+                )
+            return image
     raise FormatError(f"{path} is not a NIfTI image")
 
 

@@ -68,7 +68,7 @@ def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
     """Values, affine in mm, and the number of its space."""
     try:
         with held(path) as holder:
-            image = opened(path, holder)
+            image = opened(path, holder, with_lengths=True)
             shape = tuple(image.shape)
             if len(shape) < 3 or any(n != 1 for n in shape[3:]):
                 raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")

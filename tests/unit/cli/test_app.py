@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import logging
 import os
 import re
 import subprocess
 import sys
 import sysconfig
+import warnings
 from pathlib import Path
 
 import pytest
@@ -263,6 +265,23 @@ def test_warnings_of_the_library_are_a_line(monkeypatch, capsys):
     monkeypatch.setattr(app, "_parse", lambda words: lambda: warn("ball.ply: it is inside out"))
     assert main(["view"]) == main(["view"]) == 0
     assert capsys.readouterr().err == 2 * "sdm: warning: ball.ply: it is inside out\n"
+
+
+@pytest.mark.filterwarnings("default")
+def test_warnings_of_other_libraries_are_a_line_each(monkeypatch, capsys):
+    def talk() -> None:
+        for _ in range(2):
+            warnings.warn_explicit("no such\nglyph.", UserWarning, str(Path(pytest.__file__).parent / "a.py"), 7)
+            warnings.warn_explicit("will go", FutureWarning, str(Path(pytest.__file__).parent / "a.py"), 8)
+            logging.getLogger("nobody.listens").warning("odd header")
+
+    monkeypatch.setattr(app, "_parse", lambda words: talk)
+    with monkeypatch.context() as patch:
+        # pytest's own would hear it first.
+        patch.setattr(logging.getLogger(), "handlers", [])
+        assert main(["view"]) == 0
+    said = "sdm: warning: no such glyph (pytest)\nsdm: warning: odd header (nobody)\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_kernel_cache_that_cannot_be_written(tmp_path):
