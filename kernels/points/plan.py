@@ -11,6 +11,8 @@ from sdm.kernels.points.packets import PACKET
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
 CPU_RUN = 32
+# Packets that keep a GPU busy: of fewer points each packet has less than there is room for.
+BUSY = 1 << 12
 
 
 class PointsPlan(NamedTuple):
@@ -20,16 +22,22 @@ class PointsPlan(NamedTuple):
         lists: True for the fast path, by lists of triangles for packets of points; else only the plain one.
         packets: Packets of neighbours along the curve.
         run: Neighbours that one thread of the plain path takes.
+        share: Points of each packet, at most PACKET.
     """
 
     lists: bool
     packets: int
     run: int
+    share: int = PACKET
 
 
-def plan_points(count: int, gpu: bool, options: PlanOptions) -> PointsPlan:
-    """The plan of a query at so many points."""
+def plan_points(count: int, gpu: bool, options: PlanOptions, in_packets: bool = False) -> PointsPlan:
+    """The plan of a query at so many points, or at so many places of packets that are there (`in_packets`)."""
     method = options.points_method
     # One lane goes through a list slower than down the tree.
     lists = method == "lists" or (method == "auto" and gpu)
-    return PointsPlan(lists, -(-count // PACKET), 1 if gpu else CPU_RUN)
+    share = PACKET
+    # Points of few packets are far apart: their lists are too long, and each lane searches by itself.
+    while lists and not in_packets and share > 1 and count < BUSY * share:
+        share //= 2
+    return PointsPlan(lists, -(-count // share), 1 if gpu else CPU_RUN, share)

@@ -84,6 +84,19 @@ def _point_keys(
     order[i] = i
 
 
+@wp.kernel
+def _spread(begin: int, order: wp.array(dtype=wp.int32), count: int, share: int, places: wp.array(dtype=wp.int32)):
+    """Give each packet so many of the points, and no others."""
+    at = begin + wp.tid()
+    packet = at / PACKET
+    k = at - PACKET * packet
+    number = packet * share + k
+    i = int(-1)
+    if k < share and number < count:
+        i = numbered(order, number)
+    places[at] = i
+
+
 @wp.func
 def answer(
     tree: Tree,
@@ -275,6 +288,10 @@ def query_points(
     """
     count, device = points.shape[0] if meshes is None else order.shape[0], points.device
     lanes = GPU_LANES if device.is_cuda else 1
+    if plan.share < PACKET:
+        order, by = empty(PACKET * plan.packets, wp.int32), order
+        launch(_spread, order.shape[0], [by, count, plan.share, order], device)
+        count = order.shape[0]
     packets = Packets()
     packets.count, packets.places = plan.packets, count
     packets.meshes = empty(0, wp.int32) if meshes is None else meshes

@@ -80,7 +80,7 @@ def ragged_points(
             room = None
             if hits:
                 room = as_warp(found[1], wp.vec3), as_warp(found[2], wp.int32), as_warp(found[3], wp.vec3)
-            plan = plan_points(PACKET * most, at.is_cuda, OPTIONS.get())
+            plan = plan_points(PACKET * most, at.is_cuda, OPTIONS.get(), in_packets=True)
             by, found_values = as_warp(in_places, wp.int32), as_warp(values, wp.float32)
             asked = query_points(
                 tree,
