@@ -31,13 +31,21 @@ class PointsPlan(NamedTuple):
     share: int = PACKET
 
 
+def share_of(count: int) -> int:
+    """Points of each packet of so many about one mesh, on the path by lists.
+
+    Points of few packets are far apart: their lists are too long, and each lane searches by itself.
+    """
+    share = PACKET
+    while share > 1 and count < BUSY * share:
+        share //= 2
+    return share
+
+
 def plan_points(count: int, gpu: bool, options: PlanOptions, in_packets: bool = False) -> PointsPlan:
     """The plan of a query at so many points, or at so many places of packets that are there (`in_packets`)."""
     method = options.points_method
     # One lane goes through a list slower than down the tree.
     lists = method == "lists" or (method == "auto" and gpu)
-    share = PACKET
-    # Points of few packets are far apart: their lists are too long, and each lane searches by itself.
-    while lists and not in_packets and share > 1 and count < BUSY * share:
-        share //= 2
+    share = share_of(count) if lists and not in_packets else PACKET
     return PointsPlan(lists, -(-count // share), 1 if gpu else CPU_RUN, share)

@@ -22,7 +22,7 @@ from sdm.engine.structure.sizes import MeshKind
 from sdm.kernels.bvh.tree import COUNT
 from sdm.kernels.points.open_signs import sign_points
 from sdm.kernels.points.packets import PACKET
-from sdm.kernels.points.plan import plan_points
+from sdm.kernels.points.plan import plan_points, share_of
 from sdm.kernels.points.query import query_points, sort_points
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
 
@@ -44,28 +44,32 @@ def ragged_points(
     counts, device = [part.shape[0] for part in points], at.device
     # Of open meshes alone.
     boundaries = structure.boundaries if signed and places[0] in structure.kinds else None
-    packets = [-(-count // PACKET) for count in counts]
+    plan = plan_points(1, at.is_cuda, OPTIONS.get(), in_packets=True)
+    # As many in each packet as in a call about one mesh.
+    shares = [share_of(count) if plan.lists else PACKET for count in counts]
+    packets = [-(-count // share) for count, share in zip(counts, shares, strict=True)]
     total, most = sum(counts), sum(packets)
     values = torch.empty(total, dtype=torch.float32, device=device)
     found = [values]
     if hits:
         found += [torch.empty_like(at), torch.empty(total, dtype=torch.int32, device=device), torch.empty_like(at)]
     if total:
-        # Of each mesh its points and packets, and how far apart its first place and its first point are.
-        # And whether they are taken along a curve though others are.
+        # Of each mesh its points and packets, whether they are taken along a curve though others are, how many points
+        # are in a packet, and its first point and place.
         sort = total >= SMALLEST_SORT
         along = [sort and _is_along(structure, i, count) for i, count in zip(places, counts, strict=True)]
         sort = any(along)
-        rows = torch.tensor([list(places), counts, packets, along], dtype=torch.int64, device="cpu")
+        rows = torch.tensor([list(places), counts, packets, along, shares], dtype=torch.int64, device="cpu")
         before = rows.cumsum(1) - rows
-        table = to_device(torch.cat([rows, (PACKET * before[2] - before[1])[None]]), device)
+        table = to_device(torch.cat([rows, before[1:2], PACKET * before[2:3]]), device)
         owners = table[0].repeat_interleave(table[1], output_size=total).int()
         of_packets = table[0].repeat_interleave(table[2], output_size=most).int()
         order = torch.empty(2 * total, dtype=torch.int32, device=device)
         keys = torch.empty(2 * total if sort else 0, dtype=torch.int64, device=device)
         in_places = torch.full((PACKET * most,), -1, dtype=torch.int32, device=device)
         numbers = torch.arange(total, dtype=torch.int64, device=device)
-        moved = numbers + table[4].repeat_interleave(table[1], output_size=total)
+        share, first, place = table[4:].repeat_interleave(table[1], 1, output_size=total)
+        moved = place + PACKET * ((numbers - first) // share) + (numbers - first) % share
         with on_current_stream(at, at, structure.memory, structure.parts, owners, of_packets, order, keys, in_places):
             tree, winding, _, features, cones = structure.view
             where, empty = as_warp(at, wp.vec3), workspace(device)
