@@ -11,8 +11,9 @@ from sdm.kernels.points.packets import PACKET
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
 CPU_RUN = 32
-# Packets that keep a GPU busy: of fewer points each packet has less than there is room for.
-BUSY = 1 << 12
+# Packets that keep a GPU busy: of fewer points each packet has less than there is room for. With twice as many single
+# calls are faster still, and lists of meshes slower (bench/decisions/0080-signs-of-points-near-holes.md).
+BUSY = 1 << 11
 
 
 class PointsPlan(NamedTuple):
