@@ -177,7 +177,8 @@ def check_options(
             'hole_size is the width of gaps that a flood passes, and hidden="keep" (--hidden keep) has no flood: leave '
             "it out"
         )
-    if offset is not None and not (math.isfinite(offset) and offset >= 0):
+    is_length = isinstance(offset, int | float | np.number) and not isinstance(offset, bool)
+    if offset is not None and not (is_length and math.isfinite(offset) and offset >= 0):
         raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
     # A text or a truth value is no number of voxels, nor is NaN.
     is_number = isinstance(resolution, int | float | np.number) and not isinstance(resolution, bool)

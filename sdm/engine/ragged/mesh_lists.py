@@ -98,11 +98,16 @@ def each_grid(meshes: Iterable[MeshLike], grids: Any) -> Iterator[Any]:
     """A grid, or what stands for one, for each mesh: those of a list or an iterator of them, or the same for all.
 
     Raises:
-        GridError: As many grids as meshes are needed, and there are others.
+        GridError: As many grids as meshes are needed, and there are others, or numbers that are no resolution.
     """
     if isinstance(grids, list | tuple) and not all(isinstance(grid, int | float | np.number) for grid in grids):
         if isinstance(meshes, list | tuple) and len(meshes) != len(grids):
             raise GridError(f"{len(meshes)} meshes and {len(grids)} grids were given: {_WANTED}")
+    elif isinstance(grids, list | tuple) and len(grids) not in (0, 3):
+        raise GridError(
+            f"the numbers {grids} are no grid: give one, or three, one for each axis, or for each mesh a Grid or three "
+            "numbers"
+        )
     elif not isinstance(grids, Iterator):
         return repeat(grids)
     return iter(grids)

@@ -201,6 +201,9 @@ def test_options_that_make_no_sense():
         sdm.watertight(mesh, 20, hidden="lose")
     with pytest.raises(SDMError, match="offset is -1"):
         sdm.watertight(mesh, 20, offset=-1)
+    for odd in ("1", True, np.array([1.0, 2.0])):
+        with pytest.raises(SDMError, match="give a length of at least 0"):
+            sdm.watertight(mesh, 20, offset=odd)  # pyright: ignore[reportArgumentType, reportCallIssue]
     with pytest.raises(SDMError, match=r"so far out every mesh is a ball; give at most [0-9.]+, in the mesh's unit"):
         sdm.watertight(mesh, 20, offset=1e9)
     with pytest.raises(SDMError, match="hole_size is -1"):

@@ -119,6 +119,9 @@ def test_a_bad_mesh_is_named_by_its_number():
 def test_as_many_grids_and_points_as_meshes():
     with pytest.raises(sdm.GridError, match="3 meshes and 2 grids were given"):
         sdm.signed_distance_maps(MESHES, [GRID] * 2, device="cpu")
+    for odd in ([8], [8, 9]):
+        with pytest.raises(sdm.GridError, match=r"the numbers \[8.*\] are no grid: give one, or three"):
+            sdm.signed_distance_maps(MESHES[:2], odd, device="cpu")
     with pytest.raises(sdm.MeshError, match="grids ended before mesh 2"):
         list(sdm.signed_distance_maps(iter(MESHES), [GRID] * 2, device="cpu"))
     with pytest.raises(sdm.MeshError, match="3 meshes came, and more grids"):
