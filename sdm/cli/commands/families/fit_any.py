@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from sdm.cli.fits.fit_report import FitFiles
     from sdm.fit.model.backend import Backend
 
+# Mean distance of points from a shape, as a share of their extent, from which on it has nothing of them.
+HOPELESS = 0.1
+
 
 def fit_any_family(
     image: Path,
@@ -116,6 +119,8 @@ def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
     """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
+    import numpy as np
+
     from sdm.cli.common.progress import StageProgress
     from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
     from sdm.errors import SDMError
@@ -139,6 +144,12 @@ def fit_family_points(
     write_json(out, record)
     if not fit.converged:
         raise SDMError(f"{NOT_CONVERGED}: {points} may be no shape of this family, or turned further (--turn)")
+    across = float(np.ptp(np.asarray(found, dtype=np.float64), axis=0).max())
+    if fit.mean_distance > HOPELESS * across:
+        raise SDMError(
+            f"the fit gives no answer: the points are {across:.3g} across, and the shape is {fit.mean_distance:.3g} "
+            f"from them on average: {points} may be no shape of this family, or in another unit"
+        )
     state = fit.posterior.state
     if mesh is not None:
         save_mesh(surface_at(backend, state), mesh)
@@ -166,7 +177,7 @@ def points_of(path: Path) -> Any:
         except (OSError, ValueError, EOFError) as error:
             raise FormatError(f"{path} is no .npy file of numbers") from error
         if points.ndim != 2 or points.shape[1] not in (3, 6) or points.dtype.kind not in "fiu":
-            raise FormatError(f"{path} holds an array of shape {points.shape}; (N, 3) numbers are needed")
+            raise FormatError(f"{path} holds {points.dtype} of shape {points.shape}; (N, 3) numbers are needed")
         return points[:, :3]
     try:
         return load_mesh(path).vertices

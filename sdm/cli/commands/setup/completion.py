@@ -14,6 +14,13 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh", "tcsh"]]) -> i
         shell: The shell that will read it.
     """
     from sdm.cli.app import main
+    from sdm.errors import SDMError
 
-    # `--tyro-print-completion` is the parser's own option.
-    return main(["--tyro-print-completion", shell])
+    try:
+        # `--tyro-print-completion` is the parser's own option.
+        return main(["--tyro-print-completion", shell])
+    except ImportError as error:
+        # The parser itself has those of bash and zsh.
+        raise SDMError(
+            f"completion in {shell} needs {error.name or 'shtab'}, which is not installed: pip install shtab"
+        ) from error

@@ -59,3 +59,27 @@ def test_command_tells_steps_in_a_log_and_the_misfit(tmp_path, monkeypatch, caps
     assert "sdm: start 1 of 7, step 0, " in said
     assert "sdm: shape and pose, step 1, " in said
     assert "sdm: neighbouring points are off the shape alike" in said
+
+
+@pytest.mark.parametrize("factor", [1e9, 1e-9])
+def test_points_in_another_unit_have_no_answer(factor, tmp_path, monkeypatch, capsys):
+    """Nothing of them is in the estimate, which is the middle of the ranges."""
+    monkeypatch.chdir(tmp_path)
+    np.save("points.npy", factor * np.random.default_rng(0).standard_normal((60, 3)))
+    words = [
+        "fit",
+        "--points",
+        "points.npy",
+        "--family",
+        "cuboid",
+        "--device",
+        "cpu",
+        "-o",
+        "fit.json",
+        "--mesh",
+        "f.ply",
+    ]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "points.npy may be no shape of this family, or in another unit" in said or "did not converge" in said
+    assert not (tmp_path / "f.ply").exists()
