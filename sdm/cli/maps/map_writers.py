@@ -26,6 +26,9 @@ from sdm.runtime.worker_processes.shared_memory import can_share
 T = TypeVar("T")
 # What those functions are in that `WRITE` is given.
 PACK = "sdm.io.files.nifti_stream"
+# Processes that write for each two cores, as some wait for the disk
+# (bench/decisions/0069-several-parts-of-a-shard.md).
+WRITERS_OF_TWO = 3
 # Cores and maps for which it is worth starting processes.
 LEAST_CORES, LEAST_MAPS = 4, 32
 
@@ -92,7 +95,8 @@ def writing_processes(settings: Settings, tasks: Sequence[MapTask]) -> int:
     if not processes_pay(settings, tasks) or any(one.written for one in known()):
         return 0
     fits = settings.band is None and 0 < _bytes_of_map(settings) <= LARGEST_BESIDE
-    return threads_beside(settings.device) if fits and format_of(tasks[0].target).alone else 0
+    alone = fits and format_of(tasks[0].target).alone
+    return WRITERS_OF_TWO * threads_beside(settings.device) // 2 if alone else 0
 
 
 def processes_pay(settings: Settings, tasks: Sequence[MapTask]) -> bool:

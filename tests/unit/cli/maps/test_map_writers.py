@@ -160,7 +160,7 @@ def test_what_cannot_be_written_is_left_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("change", "ending", "count", "processes"),
     [
-        ({}, "nii.gz", 100, 16),
+        ({}, "nii.gz", 100, 24),
         ({"device": torch.device("cpu")}, "nii.gz", 100, 0),
         # Few, of unknown sizes, large, bands, and formats that are only written.
         ({}, "nii.gz", 10, 0),
