@@ -37,8 +37,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Of more boundary edges the tree of dipoles costs less.
 MOST_SUMMED = {"cuda": 1 << 15, "cpu": 1 << 14}
-# Groups of lanes that share a packet's points on a GPU: a few thousand points are to keep all of it busy.
-PARTS = 8
+# Groups of lanes that share a packet's points on a GPU: a few thousand points are to keep all of it busy. Of more
+# packets than this each has one, as threads are counted with 32 bits.
+PARTS, MOST_PARTED = 8, 1 << 20
 
 
 @wp.func
@@ -145,6 +146,11 @@ def _sign_by_edges(
     )  # fmt: skip
 
 
+def lanes_and_parts(packets: int, gpu: bool) -> tuple[int, int]:
+    """Lanes of a group, and groups that share each of so many packets."""
+    return (GPU_LANES, PARTS if packets <= MOST_PARTED else 1) if gpu else (1, 1)
+
+
 def can_be_summed(winding: Any, device: Any) -> bool:
     """True if points near the holes of a mesh alone are to be signed by the sum over its edges."""
     most = MOST_SUMMED["cuda" if device.is_cuda else "cpu"]
@@ -172,8 +178,9 @@ def sign_by_edges(
         empty: Allocates workspace: `empty(length, dtype)`.
     """
     device = points.device
-    lanes, parts, blocks = (GPU_LANES, PARTS, 0) if device.is_cuda else (1, 1, -(-boundary.count // SIXTEEN))
+    lanes, parts = lanes_and_parts(packets.count, device.is_cuda)
     # A CPU sums edges up by sixteens.
+    blocks = 0 if device.is_cuda else -(-boundary.count // SIXTEEN)
     rows, packed = empty(ROW * blocks, wp.float32), empty(min(blocks, 1), wp.int32)
     if blocks:
         launch(pack_edges, 1, [boundary, blocks, rows, packed], device)

@@ -15,7 +15,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
 from sdm.kernels.launch import launch
-from sdm.kernels.points.edge_signs import PARTS, sign_part
+from sdm.kernels.points.edge_signs import lanes_and_parts, sign_part
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.open_meshes import EDGES, ROW, SIXTEENS, OpenMeshes, by_itself, winding_of
 from sdm.kernels.points.packets import (
@@ -38,7 +38,7 @@ from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.query import BALL_ROOM, BALLS, workers_for
 from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, crossings_in_list, list_rays
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, on_cpu, wait_for_lanes
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, on_cpu, wait_for_lanes
 from sdm.kernels.winding.eights.packed_edges import ROW as EDGES_ROW
 from sdm.kernels.winding.eights.packed_edges import pack_in_rows
 from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
@@ -236,7 +236,7 @@ def sign_points(
         sixteens: Rows of sixteen edges for all meshes whose edges are visited.
     """
     count, device = packets.places, points.device
-    lanes, parts = (GPU_LANES, PARTS) if device.is_cuda else (1, 1)
+    lanes, parts = lanes_and_parts(packets.count, device.is_cuda)
     launch(_look_at_holes, packets.count * lanes, [lanes, meshes, packets], device, smallest=16)
     sides = empty(count if plan.lists or sixteens else 0, wp.int32)
     if plan.lists:

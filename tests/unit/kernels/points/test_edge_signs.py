@@ -10,8 +10,10 @@ import sdm
 from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn, turned
 from sdm.bench.common.meshes import torus
 from sdm.bench.common.oracles.brute_force import Brute
+from sdm.engine.ops import MOST_POINTS
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.points import edge_signs
+from sdm.kernels.points.packets import PACKET
 
 MESHES = {
     "few edges": torn(torus(2000), 0.01),
@@ -78,3 +80,11 @@ def test_as_by_other_ways_where_these_are_sure(name, method, monkeypatch):
     sure = torch.from_numpy(np.abs(winding(mesh, points.numpy()) - 0.5) > 1e-3)
     assert torch.equal(found[sure], other[sure])
     assert torch.equal(found.abs(), other.abs())
+
+
+@pytest.mark.parametrize("points", [1, 10_000, 32 << 20, (32 << 20) + 1, MOST_POINTS])
+def test_threads_are_counted_with_32_bits(points):
+    packets = -(-points // PACKET)
+    lanes, parts = edge_signs.lanes_and_parts(packets, True)
+    assert PACKET % parts == 0
+    assert packets * parts * lanes < 1 << 31
