@@ -58,7 +58,8 @@ def edges_once(boundary: Boundary, meshes: int, empty: Callable[[int, Any], wp.a
     It has no places on the lattice, so sums in float64 are not for it.
     """
     device = boundary.ends.device
-    numbers, ends = new_zeros(empty, NUMBERS), empty(2 * meshes * boundary.count, wp.vec3)
+    numbers: Any = new_zeros(empty, NUMBERS)
+    ends = empty(2 * meshes * boundary.count, wp.vec3)
     launch(_compare, meshes * ((boundary.count + 1) // 2), [boundary, numbers], device)
     launch(_take, meshes * boundary.count, [boundary, numbers, ends], device)
     once: Any = Boundary()
