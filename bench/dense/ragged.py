@@ -30,7 +30,7 @@ import sdm
 from sdm.bench.common import json_file, query_points
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.dirty_meshes.by_code import torn
-from sdm.bench.common.figure import drawing
+from sdm.bench.common.figure import drawing, plain_ticks
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import Case, sphere, torus
 from sdm.bench.common.oracles.brute_force import Brute
@@ -239,6 +239,8 @@ def row(name: str, asked: Maps, some: int, runs: int) -> dict[str, Any]:
 
 def draw(report: dict[str, Any], path: Path) -> None:
     """Maps, or sets of points, a second of each way, as bars for each list."""
+    from matplotlib.ticker import LogLocator
+
     ways = [key for key in WAYS if key in report["rows"][0]]
     kind = next(kind for kind in (Maps, Points) if kind.of_each in report["rows"][0])
     with drawing(path, f"{report['machine']['device']}: {kind.what} of meshes that differ, each list in one call") as (
@@ -258,6 +260,8 @@ def draw(report: dict[str, Any], path: Path) -> None:
             ],
         )
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        plain_ticks(axes.yaxis)
         axes.set_ylabel(f"{kind.what} a second")
         axes.set_title(f"{kind.what.capitalize()} of meshes that differ, each for the first time", loc="left")
         axes.legend()
