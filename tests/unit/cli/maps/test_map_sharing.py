@@ -99,10 +99,10 @@ def test_processes_that_have_been_started_are_used(count):
         others.start(["cpu"] * count)
         early = [worker for worker, _ in others._workers]
         work: Any = Shards()
-        run_here(work, [*range(300)], ["cpu"] * 3, told.append, others=others)
+        run_here(work, [*range(150)], ["cpu"] * 3, told.append, others=others)
         # One more than is needed is ended at once.
         assert all(not worker.is_alive() for worker in early[2:])
-    assert sorted(shard for shard, _ in told) == [*range(300)]
+    assert sorted(shard for shard, _ in told) == [*range(150)]
     assert (
         {os.getpid()} <= {pid for _, pid in told} <= {os.getpid(), *(worker.pid for worker, _ in others._workers[:2])}
     )
