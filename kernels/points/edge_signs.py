@@ -151,10 +151,9 @@ def lanes_and_parts(packets: int, gpu: bool) -> tuple[int, int]:
     return (GPU_LANES, PARTS if packets <= MOST_PARTED else 1) if gpu else (1, 1)
 
 
-def can_be_summed(winding: Any, device: Any) -> bool:
-    """True if points near the holes of a mesh alone are to be signed by the sum over its edges."""
-    most = MOST_SUMMED["cuda" if device.is_cuda else "cpu"]
-    return winding.kind in (OPEN, MANY, DIRTY) and winding.boundary.count <= most
+def is_summed(kind: int, edges: int, gpu: bool) -> bool:
+    """True if points near the holes of a mesh with so many boundary edges are signed by the sum over all of them."""
+    return kind in (OPEN, MANY, DIRTY) and edges <= MOST_SUMMED["cuda" if gpu else "cpu"]
 
 
 def sign_by_edges(

@@ -25,7 +25,7 @@ from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import CURVE_SHARE, launch, threads
 from sdm.kernels.points.closest import name_faces
-from sdm.kernels.points.edge_signs import can_be_summed, sign_by_edges
+from sdm.kernels.points.edge_signs import is_summed, sign_by_edges
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.nearest import find_nearest
 from sdm.kernels.points.packets import (
@@ -306,7 +306,7 @@ def query_points(
     look_around(tree, winding, points, order, packets, scratch, workers, lanes)
     slots = empty(count if plan.lists else 0, wp.int32)
     signed = winding.kind != UNSIGNED
-    by_edges = signed and meshes is None and can_be_summed(winding, device)
+    by_edges = signed and meshes is None and is_summed(winding.kind, winding.boundary.count, device.is_cuda)
     sides = empty(count if signed and (plan.lists or by_edges) else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)

@@ -22,7 +22,7 @@ from sdm.engine.structure.sizes import MeshKind
 from sdm.kernels.bvh.tree import COUNT
 from sdm.kernels.points.open_signs import sign_points
 from sdm.kernels.points.packets import PACKET
-from sdm.kernels.points.plan import plan_points, share_of
+from sdm.kernels.points.plan import plan_points
 from sdm.kernels.points.query import query_points, sort_points
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
 
@@ -44,9 +44,8 @@ def ragged_points(
     counts, device = [part.shape[0] for part in points], at.device
     # Of open meshes alone.
     boundaries = structure.boundaries if signed and places[0] in structure.kinds else None
-    plan = plan_points(1, at.is_cuda, OPTIONS.get(), in_packets=True)
     # As many in each packet as in a call about one mesh.
-    shares = [share_of(count) if plan.lists else PACKET for count in counts]
+    shares = [plan_points(count, at.is_cuda, OPTIONS.get()).share for count in counts]
     packets = [-(-count // share) for count, share in zip(counts, shares, strict=True)]
     total, most = sum(counts), sum(packets)
     values = torch.empty(total, dtype=torch.float32, device=device)

@@ -10,11 +10,11 @@ import torch
 import warp as wp
 
 from sdm.engine.ragged.structure import RaggedStructure
-from sdm.engine.structure.sizes import WITH_DIPOLES, MeshKind
+from sdm.engine.structure.sizes import MeshKind
 from sdm.kernels.bvh.build import build_in_frame
 from sdm.kernels.bvh.tree import BOX_FLOATS, DEPTH, PART_SIZE, Tree
 from sdm.kernels.launch import set_array
-from sdm.kernels.points.edge_signs import MOST_SUMMED
+from sdm.kernels.points.edge_signs import is_summed
 from sdm.kernels.points.open_meshes import (
     CAPS,
     DIPOLES,
@@ -54,10 +54,11 @@ class OpenData:
         device = structure.memory.device
         kinds, counts, meshes = structure.kinds, found.counts, structure.rows
         seen = [i for i in places if kinds[i] in SEEN]
-        most = MOST_SUMMED["cuda" if device.type == "cuda" else "cpu"]
-        # And those whose edges are few enough.
-        summed = seen + [i for i in places if kinds[i] is MeshKind.DIRTY and counts[i] <= most]
-        dipoles = [i for i in places if kinds[i] in WITH_DIPOLES and i not in summed]
+        # As single calls have it: the others go down trees of dipoles.
+        others = [i for i in places if kinds[i] not in SEEN]
+        by_sums = [is_summed(kinds[i], counts[i], device.type == "cuda") for i in others]
+        summed = seen + [i for i, is_one in zip(others, by_sums, strict=True) if is_one]
+        dipoles = [i for i, is_one in zip(others, by_sums, strict=True) if not is_one]
         edges = [counts[i] for i in summed]
         levels = [depth_of_caps(counts[i]) for i in seen]
         first_edges, roots = [0, *accumulate(edges)], [0, *accumulate([2 << level for level in levels])]
