@@ -37,8 +37,8 @@ def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) ->
         return torch.device("cuda", torch.cuda.current_device()) if torch.cuda.is_available() else torch.device("cpu")
     try:
         device = torch.device(wanted)
-    except RuntimeError:
-        raise DeviceError(f"there is no device called {wanted!r}; use cpu, cuda or cuda:N") from None
+    except (RuntimeError, TypeError):
+        raise _unknown(wanted) from None
     if device.type not in ("cpu", "cuda"):
         raise DeviceError(f"the device {wanted} is not supported; use cpu, cuda or cuda:N")
     if device.type == "cpu":
@@ -48,12 +48,36 @@ def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) ->
     for tensor in tensors:
         there = there or (tensor is not None and tensor.is_cuda and device.index in (None, tensor.device.index))
     if not there:
-        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-        if count == 0:
-            raise DeviceError(f"the device {wanted} was requested, but no CUDA device is there; use cpu")
-        if device.index is not None and device.index >= count:
-            raise DeviceError(f"the device {wanted} was requested, but there are only cuda:0 to cuda:{count - 1}")
+        _require_cuda(device)
     return torch.device("cuda", torch.cuda.current_device()) if device.index is None else device
+
+
+def device_to_hold(wanted: str | torch.device) -> torch.device:
+    """A device that is to hold tensors, of any kind that torch has.
+
+    Raises:
+        DeviceError: There is none of that name.
+    """
+    try:
+        device = torch.device(wanted)
+    except (RuntimeError, TypeError):
+        raise _unknown(wanted) from None
+    if device.type == "cuda":
+        _require_cuda(device)
+    return device
+
+
+def _unknown(wanted: object) -> DeviceError:
+    name = repr(wanted) if isinstance(wanted, str) else f"by an object of type {type(wanted).__name__}"
+    return DeviceError(f"there is no device called {name}; use cpu, cuda or cuda:N")
+
+
+def _require_cuda(device: torch.device) -> None:
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count == 0:
+        raise DeviceError(f"the device {device} was requested, but no CUDA device is there; use cpu")
+    if device.index is not None and device.index >= count:
+        raise DeviceError(f"the device {device} was requested, but there are only cuda:0 to cuda:{count - 1}")
 
 
 def free_memory(device: torch.device) -> int:

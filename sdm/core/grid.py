@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float32, Float64
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.given_values import real, whole
 from sdm.errors import GridError
 
 if TYPE_CHECKING:
@@ -139,6 +140,7 @@ class Grid:
             GridError: As `around`.
         """
         _check_wanted(resolution, spacing, margin)
+        low, high = np.array(_triple(low, "lowest corner")), np.array(_triple(high, "highest corner"))
         extent = float((high - low).max())
         room = margin * extent
         if spacing is not None:
@@ -205,8 +207,8 @@ class Grid:
         Raises:
             GridError: The matrix is singular or sheared.
         """
-        matrix = np.asarray(affine, dtype=np.float64)
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        matrix = _numbers(affine)
+        if matrix is None or matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise GridError("an image's affine must be a finite 4 x 4 matrix")
         spacing = np.linalg.norm(matrix[:3, :3], axis=0)
         if not (spacing > 0).all():
@@ -221,9 +223,14 @@ class Grid:
         """Voxel centres (n,ny,nz,3) of the slab `begin <= i < end`, float32 on the host.
 
         These are exactly the points at which the engine measures.
+
+        Raises:
+            GridError: A begin or an end that is no layer of the grid.
         """
-        end = self.shape[0] if end is None else end
-        index = np.meshgrid(np.arange(begin, end), *(np.arange(n) for n in self.shape[1:]), indexing="ij")
+        first, last = whole(begin, 0), self.shape[0] if end is None else whole(end, 0)
+        if first is None or last is None or max(first, last) > self.shape[0]:
+            raise GridError(f"{begin!r} to {end!r} is no slab of a grid of {self.shape[0]} layers along x")
+        index = np.meshgrid(np.arange(first, last), *(np.arange(n) for n in self.shape[1:]), indexing="ij")
         # In the order in which `voxel` of `kernels/geometry/voxel_grid.py` rounds.
         rows = np.asarray(self.direction) * np.asarray(self.spacing)
         xyz = [
@@ -232,11 +239,11 @@ class Grid:
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
 
 
-def _check_wanted(resolution: Any, spacing: Any, margin: float) -> None:
+def _check_wanted(resolution: Any, spacing: Any, margin: Any) -> None:
     if resolution is not None and spacing is not None:
         raise GridError("give a resolution or a spacing for the grid, not both")
-    if not (math.isfinite(margin) and margin >= 0):
-        raise GridError(f"the grid's margin {margin} must be a share of the box of at least 0")
+    if not 0 <= real(margin) < math.inf:
+        raise GridError(f"the grid's margin {margin!r} must be a share of the box of at least 0")
 
 
 def _resolution(wanted: int | Sequence[int] | np.ndarray) -> tuple[float, float, float]:
@@ -267,7 +274,7 @@ def _triple(values: object, what: str) -> tuple[float, float, float]:
 def _numbers(values: object) -> np.ndarray | None:
     try:
         return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float32, Float64, Int32
 from torch import Tensor
 
+from sdm.core.device import device_to_hold
 from sdm.core.to_libraries import mesh_to_open3d, mesh_to_pyvista, mesh_to_trimesh
 from sdm.errors import MeshError
 
@@ -85,8 +86,14 @@ class TriangleMesh:
         return low.cpu().double().numpy(), high.cpu().double().numpy()
 
     def to(self, device: torch.device | str) -> TriangleMesh:
-        """The same mesh on another device: itself where it is there already."""
-        if self.vertices.device == (device if isinstance(device, torch.device) else torch.device(device)):
+        """The same mesh on another device: itself where it is there already.
+
+        Raises:
+            DeviceError: There is none of that name.
+        """
+        if not isinstance(device, torch.device):
+            device = device_to_hold(device)
+        if self.vertices.device == device:
             return self
         return TriangleMesh(self.vertices.to(device), self.faces.to(device), self.name, check=False)
 

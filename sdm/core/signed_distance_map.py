@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -14,6 +15,8 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
+from sdm.core.device import device_to_hold
+from sdm.core.given_values import as_level, real, whole
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.normalization import Normalization
@@ -200,8 +203,12 @@ class SDM:
         return self.values.device
 
     def to(self, device: torch.device | str) -> SDM:
-        """The same map on another device."""
-        moved = self.with_values(self.values.to(device))
+        """The same map on another device.
+
+        Raises:
+            DeviceError: There is none of that name.
+        """
+        moved = self.with_values(self.values.to(device_to_hold(device)))
         check = self.__dict__.pop("_pending", None)
         return moved if check is None else moved.checked_by(check)
 
@@ -257,7 +264,7 @@ class SDM:
             GridError: The points are not (...,3).
             SDMError: Another order.
         """
-        if order not in (1, 3):
+        if whole(order, 1) not in (1, 3):
             raise SDMError(f"maps are interpolated by order 1 (trilinear) or 3 (tricubic), not {order!r}")
         at = as_tensor(points, torch.float64, "the points", device=self.values.device)
         if at.ndim == 0 or at.shape[-1] != 3:
@@ -288,8 +295,12 @@ class SDM:
         return outside / far - inside / deep
 
     def occupancy(self, level: float = 0.0) -> Bool[Tensor, "nx ny nz"]:
-        """True for voxels whose distance is below `level`: inside."""
-        return self.values < level
+        """True for voxels whose distance is below `level`: inside.
+
+        Raises:
+            SDMError: A level that is no number.
+        """
+        return self.values < as_level(level)
 
     def truncate(self, distance: float) -> SDM:
         """The map with values beyond `distance` cut to it, on both sides, which `truncated` tells.
@@ -297,8 +308,9 @@ class SDM:
         Raises:
             SDMError: A distance that is not positive.
         """
-        if not 0 < distance < float("inf"):
-            raise SDMError(f"a map cannot be truncated at {distance}: give a positive length")
+        distance, given = real(distance), distance
+        if not 0 < distance < math.inf:
+            raise SDMError(f"a map cannot be truncated at {given!r}: give a positive length")
         known = distance if self.truncated is None else min(distance, self.truncated)
         return self._with(values=self.values.clamp(-distance, distance), truncated=known)
 

@@ -14,6 +14,8 @@ from jaxtyping import Float, Int32, Int64
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, are_in_runs, blocks_along, find_blocks, keys_of
+from sdm.core.device import device_to_hold
+from sdm.core.given_values import whole
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
@@ -115,8 +117,13 @@ class SparseSDM:
         return SparseSDM(values=values, **kept)
 
     def to(self, device: torch.device | str) -> SparseSDM:
-        """The same band on another device."""
-        tensors = {name: getattr(self, name).to(device) for name in ("blocks", "values", "inside")}
+        """The same band on another device.
+
+        Raises:
+            DeviceError: There is none of that name.
+        """
+        where = device_to_hold(device)
+        tensors = {name: getattr(self, name).to(where) for name in ("blocks", "values", "inside")}
         return SparseSDM(**tensors, **{name: getattr(self, name) for name in _PLAIN})
 
     def cpu(self) -> SparseSDM:
@@ -194,7 +201,7 @@ class SparseSDM:
         at = as_tensor(points, torch.float64, "the points", device=self.device)
         if at.ndim == 0 or at.shape[-1] != 3:
             raise GridError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
-        if order not in (1, 3):
+        if whole(order, 1) not in (1, 3):
             raise SDMError(f"order is {order!r}; use 1 (trilinear) or 3 (cubic)")
         return interpolate(self, at.reshape(-1, 3), order).reshape(at.shape[:-1])
 

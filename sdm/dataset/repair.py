@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.family_registry import other_family, with_reference
@@ -32,7 +33,7 @@ def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None
     Raises:
         FormatError: It is no dataset.
     """
-    folder = Path(path)
+    folder = as_path(path)
     manifest = read_manifest(folder)
     found = []
     for number in range(layout.shard_count(manifest)):
@@ -55,7 +56,7 @@ def mend_arrays(path: str | Path) -> list[str]:
     Raises:
         FormatError: It is no dataset, or cannot be written.
     """
-    folder = Path(path)
+    folder = as_path(path)
     try:
         return layout.mend_arrays(folder, read_manifest(folder))
     except OSError as error:
@@ -90,7 +91,7 @@ def verify(
         FormatError: Not a dataset, or one of another family, sampler, version, random numbers or kind of device, or
             another process writes it.
     """
-    folder = Path(path)
+    folder = as_path(path)
     manifest = read_manifest(folder)
     mend_arrays(folder)
     found = damaged(folder) if shards is None else shards

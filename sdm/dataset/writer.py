@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from sdm.core.as_grid import GridLike
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.family_registry import other_family, with_reference
@@ -96,7 +97,7 @@ def generate(
     Killed at any moment it loses the shards in flight; `resume` finishes it to the identical dataset on the same kind
     of device.
     """
-    target = Path(path)
+    target = as_path(path)
     folder = layout.part_of(target)
     # The manifest takes no number of NumPy's.
     count, shard = int(count), None if shard is None else int(shard)

@@ -10,6 +10,7 @@ from typing import Literal, TypedDict, get_args
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
@@ -99,11 +100,8 @@ class SignMethod:
             return
         if self.sign != "flood" and not self.compare:
             raise SDMError(f"hole_size is the width of gaps for sign='flood'; with sign={self.sign!r} it says nothing")
-        try:
-            size = float(self.hole_size)
-        except (TypeError, ValueError):
-            size = math.nan
-        if not (math.isfinite(size) and size >= 0):
+        size = real(self.hole_size)
+        if not 0 <= size < math.inf:
             raise SDMError(f"hole_size is {self.hole_size!r}; give a length of at least 0, in the mesh's unit")
         object.__setattr__(self, "hole_size", size)
 

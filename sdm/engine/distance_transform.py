@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.engine.edt.nearest_voxels import NearestVoxels, labels_at
 from sdm.engine.edt.passes import LANES, MOST_VOXELS, fill_classes, is_class
 from sdm.errors import GridError, SDMError
@@ -127,6 +128,9 @@ def euclidean_distance_transform(
     volumes = mask.detach().reshape(math.prod(mask.shape[:-3]), *shape)
     _refuse_nan(volumes)
     half = SURFACES[surface]
+    if math.isnan(real(missing)):
+        raise SDMError(f"missing is {missing!r}; give the distance where there is nothing to measure to")
+    signed, missing = bool(signed), real(missing)
     values = None if classes is None else _values(classes, volumes)
     batch = mask.shape[: 0 if mask.ndim == 3 else 1]
     wanted = mask.shape if values is None else (*batch, len(values), *shape)
@@ -168,7 +172,7 @@ def _check(mask: Tensor, spacing: float | Sequence[float], surface: str) -> tupl
             f"a mask of shape {tuple(mask.shape)} has no distance transform: give (x,y,z), (B,x,y,z) or (B,1,x,y,z)"
         )
     size = spacing_of(spacing)
-    if surface not in SURFACES:
+    if not isinstance(surface, str) or surface not in SURFACES:
         raise SDMError(f"the surface {surface!r} is unknown: choose 'centres' or 'faces'")
     shape = tuple(mask.shape[-3:])
     if max(shape) > LONGEST_LINE or shape[0] * shape[1] * max(shape[2], LANES) > MOST_VOXELS:
@@ -217,7 +221,7 @@ def _values(classes: Classes, labels: Tensor) -> list[int]:
         found = np.asarray(classes.cpu() if isinstance(classes, Tensor) else classes).reshape(-1).tolist()
     if not found:
         raise SDMError("there are no classes to measure: give their values, or labels that are not all 0")
-    if not all(float(value).is_integer() for value in found) or len(set(found)) < len(found):
+    if not all(real(value).is_integer() for value in found) or len(set(found)) < len(found):
         raise SDMError(f"classes are {found}: give whole numbers, each once")
     return [int(value) for value in found]
 
@@ -245,11 +249,10 @@ def spacing_of(spacing: float | Sequence[float]) -> list[float]:
     Raises:
         GridError: They are not three positive, finite numbers, or so different that their squares leave float32.
     """
-    # One number may be NumPy's or a tensor, which are no floats.
-    each: Any = [spacing] * 3 if np.ndim(spacing) == 0 else spacing
-    sizes = [float(s) for s in each]
-    if len(sizes) != 3 or not all(s > 0 and math.isfinite(s) for s in sizes):
-        raise GridError(f"the spacing {spacing} must be one or three positive numbers")
+    each: Any = [spacing] * 3 if not math.isnan(real(spacing)) else spacing
+    sizes = [real(s) for s in each] if np.iterable(each) else []
+    if len(sizes) != 3 or not all(0 < s < math.inf for s in sizes):
+        raise GridError(f"the spacing {spacing!r} must be one or three positive numbers")
     if max(sizes) > 1e9 * min(sizes):
         raise GridError(f"the spacing {spacing} differs too much between the axes: by at most a factor of 1e9")
     return sizes

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.facts_table import facts_table
 from sdm.inspect.agreement import agreeing_turns
 from sdm.inspect.components import components_of
 from sdm.inspect.degenerate import zero_area
 from sdm.inspect.duplicates import first_copies
 from sdm.inspect.edges import edges_of
+from sdm.inspect.facts_table import facts_table
 from sdm.inspect.orientation import inside_out, to_turn
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.problems import problems_of, sign_problems

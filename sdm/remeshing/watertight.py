@@ -10,6 +10,7 @@ import torch
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
@@ -177,8 +178,7 @@ def check_options(
             'hole_size is the width of gaps that a flood passes, and hidden="keep" (--hidden keep) has no flood: leave '
             "it out"
         )
-    is_length = isinstance(offset, int | float | np.number) and not isinstance(offset, bool)
-    if offset is not None and not (is_length and math.isfinite(offset) and offset >= 0):
+    if offset is not None and (isinstance(offset, bool) or not 0 <= real(offset) < math.inf):
         raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
     # A text or a truth value is no number of voxels, nor is NaN.
     is_number = isinstance(resolution, int | float | np.number) and not isinstance(resolution, bool)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sdm.core.given_values import as_path
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
@@ -52,7 +53,7 @@ def picture(
     Raises:
         FormatError: An ending that is not one of these, or a place that cannot be written.
     """
-    target = Path(path)
+    target = as_path(path)
     kind = target.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise FormatError(f"{target} does not end like a picture: use one of .{', .'.join(FORMATS)}")

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
@@ -83,7 +84,7 @@ def draw_fit(
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
     """
-    target = Path(path)
+    target = as_path(path)
     kind = target.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise FormatError(f"{target} does not end like a picture: use one of .{', .'.join(FORMATS)}")

@@ -10,8 +10,8 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sdm.core.facts_table import facts_table
 from sdm.core.signed_distance_map import SDM
+from sdm.inspect.facts_table import facts_table
 from sdm.viz.figure import colour_limit, draw_slice, known_facts
 from sdm.viz.style import STYLE
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import as_path
 from sdm.deepsdf.samples import UnitSphere
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
@@ -33,7 +34,7 @@ class ShapeCode:
 def save_code(shape: ShapeCode, path: str | Path) -> None:
     """Write `.npz`, atomically."""
     sphere = np.array([*shape.sphere.centre, shape.sphere.radius])
-    with replacing(Path(path)) as part, part.open("wb") as file:
+    with replacing(as_path(path)) as part, part.open("wb") as file:
         np.savez(file, version=VERSION, code=shape.code.detach().cpu().numpy(), sphere=sphere)
 
 
@@ -44,7 +45,7 @@ def load_code(path: str | Path) -> ShapeCode:
         FormatError: The file is not there, is something else, or is of another version.
     """
     try:
-        with Path(path).open("rb") as whole, np.load(whole, allow_pickle=False) as file:
+        with as_path(path).open("rb") as whole, np.load(whole, allow_pickle=False) as file:
             version, code, sphere = int(file["version"]), file["code"], file["sphere"]
     except FileNotFoundError:
         raise FormatError(f"{path} is not there; make it with sdm encode") from None

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from sdm.core.given_values import as_path
 from sdm.deepsdf.networks.model import DeepSDF
 from sdm.errors import SDMError
 from sdm.io.files.atomic import replacing
@@ -102,7 +103,7 @@ def save_picture(picture: Tensor, path: str | Path) -> None:
     """Write a picture (h,w,3) in [0,1] as PNG; needs no display."""
     from matplotlib.image import imsave
 
-    with replacing(Path(path)) as part:
+    with replacing(as_path(path)) as part:
         imsave(part, picture.cpu().numpy(), format="png")
 
 

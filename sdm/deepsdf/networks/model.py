@@ -14,6 +14,7 @@ from torch.nn.functional import normalize
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import choose_device
+from sdm.core.given_values import as_path
 from sdm.core.mesh import as_tensor
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder, bounded
 from sdm.deepsdf.networks.decoders import Decoder
@@ -80,9 +81,9 @@ class DeepSDF:
             FormatError: The file is not there, is something else, is damaged, or is of another version.
         """
         where = choose_device(device)
-        saved = checkpoint.read_model(Path(path), where)
+        saved = checkpoint.read_model(as_path(path), where)
         settings = Settings.of_record(saved["settings"], path)
-        with fitting_states(Path(path), checkpoint.DAMAGED):
+        with fitting_states(as_path(path), checkpoint.DAMAGED):
             whole = AutoDecoder(settings, len(saved["names"])).to(where)
             whole.load_state_dict(saved["state"])
         spheres = [UnitSphere((x, y, z), radius) for x, y, z, radius in saved["spheres"]]

@@ -12,6 +12,7 @@ import torch
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
@@ -183,7 +184,7 @@ def band_method(half_width: float, sign: Sign, hole_size: float | None = None) -
         GridError: The band is too narrow.
         SDMError: A sign that there is not, or a hole size without a flood.
     """
-    if not (isinstance(half_width, int | float) and math.isfinite(half_width) and half_width >= LEAST_HALF_WIDTH):
+    if not LEAST_HALF_WIDTH <= real(half_width) < math.inf:
         raise GridError(f"half_width is {half_width!r}; give a number of voxels of at least {LEAST_HALF_WIDTH}")
     return SignMethod(sign, hole_size)
 
@@ -220,12 +221,13 @@ def band_grid(
             spacing = grid
     if resolution is not None:
         return Grid.around(mesh, resolution, margin=0.05 if margin is None else margin)
-    if margin is None:
+    if margin is None and spacing is not None:
+        steps = [real(step) for step in np.atleast_1d(np.asarray(spacing, dtype=object))]
         low, high = mesh.bounds
         extent = float((high - low).max())
-        room = (half_width + 1) * float(np.max(np.asarray(spacing, np.float64)))
+        room = (half_width + 1) * max(steps, default=0.0)
         margin = room / extent if extent > 0 and math.isfinite(room) else 0.0
-    return Grid.around(mesh, spacing=spacing, margin=margin)
+    return Grid.around(mesh, spacing=spacing, margin=0.0 if margin is None else margin)
 
 
 def _are_whole(numbers: Any) -> bool:

@@ -52,12 +52,13 @@ def orient_faces(mesh: MeshLike, device: str | torch.device | None = None) -> Tr
         DeviceError: The device is not there.
     """
     mesh = as_mesh(mesh)
+    where = choose_device(device, mesh.vertices)
     state = None if mesh.faces.is_inference() else (mesh.vertices._version, mesh.faces._version)
     known = _known.get(mesh.vertices)
     if known is not None and state is not None and known[0] is mesh.faces and known[1] == state:
         faces = known[2]
     else:
-        turn = _turns(mesh, choose_device(device, mesh.vertices))
+        turn = _turns(mesh, where)
         host = mesh.faces.cpu().numpy()
         faces = torch.from_numpy(np.where(turn[:, None], host[:, ::-1], host)).to(mesh.device) if turn.any() else None
         _known[mesh.vertices] = mesh.faces, state, faces

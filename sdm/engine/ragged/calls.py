@@ -25,7 +25,7 @@ from sdm.engine.flood import flooded, rims_of
 from sdm.engine.map_closest import closest_map
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.boxes import with_known_boxes
-from sdm.engine.ragged.chunks import bytes_for, in_chunks
+from sdm.engine.ragged.chunks import bytes_for, check_bytes, in_chunks
 from sdm.engine.ragged.joint_maps import JointMaps, MapJob, ragged_maps
 from sdm.engine.ragged.mesh_lists import each_grid, in_pairs, is_crowded, numbered
 from sdm.kernels.dense.cost_model import search_is_faster
@@ -75,6 +75,8 @@ def maps_of(
         device: Where to compute.
         max_bytes: Memory of a chunk.
     """
+    if max_bytes is not None:
+        check_bytes(max_bytes)
     jobs = _jobs(meshes, grids, wanted, resolution, margin, device)
     for chunk in in_chunks(jobs, _load, lambda job: max_bytes or bytes_for(job.mesh.device)):
         yield from _maps_of_chunk(chunk, single, wanted)

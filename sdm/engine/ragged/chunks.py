@@ -9,6 +9,8 @@ from typing import TypeVar
 import torch
 
 from sdm.core.device import total_memory
+from sdm.core.given_values import whole
+from sdm.errors import SDMError
 
 T = TypeVar("T")
 
@@ -23,6 +25,16 @@ MOST_MESHES, MOST_TRIANGLES, MOST_VOXELS = 1 << 12, 1 << 26, 1 << 29
 def bytes_for(device: torch.device) -> int:
     """Bytes of a chunk on a device, where nobody says."""
     return total_memory(device) // GPU_SHARE if device.type == "cuda" else CPU_BYTES
+
+
+def check_bytes(max_bytes: int) -> None:
+    """Refuse what is no number of bytes.
+
+    Raises:
+        SDMError: It is none.
+    """
+    if whole(max_bytes, 0) is None:
+        raise SDMError(f"max_bytes is {max_bytes!r}; give a whole number of bytes")
 
 
 def in_chunks(items: Iterable[T], load: Callable[[T], tuple[int, int]], limit: Callable[[T], int]) -> Iterator[list[T]]:

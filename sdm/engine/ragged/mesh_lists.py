@@ -58,6 +58,8 @@ def as_sequence(given: Any) -> Any:
             return [(vertices, faces)]
         is_shared = not isinstance(faces, list | tuple) and faces.ndim == 2
         return list(zip(vertices, [faces] * len(vertices) if is_shared else faces, strict=True))
+    if not isinstance(given, Iterable) or isinstance(given, _SINGLE):
+        raise MeshError(f"an object of type {type(given).__name__} is no list of meshes: give them in one, [mesh]")
     return list(given) if are_meshes(given) and not isinstance(given, list | tuple | Iterator) else given
 
 
@@ -121,6 +123,8 @@ def each_points(meshes: Iterable[MeshLike], points: Any) -> Iterator[Any]:
     """
     if isinstance(meshes, list | tuple) and hasattr(points, "__len__") and len(meshes) != len(points):
         raise MeshError(f"{len(meshes)} meshes and {len(points)} sets of points were given: give one for each mesh")
+    if not isinstance(points, Iterable):
+        raise MeshError(f"an object of type {type(points).__name__} holds no points: give a set of them for each mesh")
     return iter(points)
 
 

@@ -17,7 +17,7 @@ from sdm.engine.checks.caller_warning import named
 from sdm.engine.checks.values_check import look_at_points
 from sdm.engine.closest_points import Closest
 from sdm.engine.points import as_points, search_needs_tree_alone
-from sdm.engine.ragged.chunks import bytes_for, in_chunks
+from sdm.engine.ragged.chunks import bytes_for, check_bytes, in_chunks
 from sdm.engine.ragged.joint_points import ragged_points
 from sdm.engine.ragged.mesh_lists import each_points, in_pairs, is_crowded, is_plain, numbered
 from sdm.engine.ragged.structure import RaggedBuild
@@ -57,6 +57,8 @@ def distances_of(
         device: Where to compute.
         max_bytes: Memory of a chunk.
     """
+    if max_bytes is not None:
+        check_bytes(max_bytes)
 
     def asked() -> Iterator[PointsJob]:
         for number, mesh, at in in_pairs(meshes, each_points(meshes, points), "points"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, get_args
 
+from sdm.core.given_values import as_level
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.core.sparse_sdm import SparseSDM
@@ -28,6 +29,7 @@ def check_method(method: Method) -> None:
 
 def isosurface(field: SDM, level: float, method: Method, mesh: Any) -> TriangleMesh:
     """The surface of a dense map, see `SDM.to_mesh`."""
+    level = as_level(level)
     if min(field.shape) < 2:
         raise SDMError(f"a grid of shape {field.shape} is one voxel thin: a surface needs two along each axis")
     found = _surface(dense_blocks(field.values, field.grid), field, level, method, mesh)
@@ -39,6 +41,7 @@ def isosurface(field: SDM, level: float, method: Method, mesh: Any) -> TriangleM
 
 def band_isosurface(band: SparseSDM, level: float, method: Method, mesh: Any) -> TriangleMesh:
     """The surface of a narrow band, see `SparseSDM.to_mesh`."""
+    level = as_level(level)
     reach = math.hypot(*band.grid.spacing)
     if not abs(level) + reach < band.width:
         raise SDMError(

@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sdm.core.facts_table import facts_table
 from sdm.errors import SDMError
 from sdm.fit.model.appearance import Appearance
 from sdm.fit.model.pose import State
 from sdm.fit.solve.diagnosis import Diagnosis
 from sdm.fit.solve.posterior import Posterior
+from sdm.inspect.facts_table import facts_table
 from sdm.io.files.json_file import write_json
 from sdm.shapes import Parameter
 

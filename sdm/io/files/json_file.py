@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from sdm.core.given_values import as_path
 from sdm.io.files.atomic import replacing
 
 
@@ -15,5 +16,5 @@ def write_json(path: str | Path, content: Any) -> None:
     Raises:
         FormatError: The place cannot be written.
     """
-    with replacing(Path(path)) as part:
+    with replacing(as_path(path)) as part:
         part.write_text(json.dumps(content, indent=1) + "\n")

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from sdm.core.given_values import as_path
 from sdm.errors import FormatError, SDMError, one_line
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def is_remote(path: Any) -> bool:
 
 def place_of(path: str | Path) -> Path:
     """The path, or of an address a `RemotePath`, which answers what readers of datasets ask of a path."""
-    return cast("Path", RemotePath(str(path))) if is_remote(path) else Path(path)
+    return cast("Path", RemotePath(str(path))) if is_remote(path) else as_path(path)
 
 
 class RemotePath:

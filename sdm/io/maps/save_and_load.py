@@ -11,6 +11,7 @@ import torch
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import require_memory
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
@@ -68,9 +69,9 @@ def save(field: SDM | SparseSDM, path: str | Path) -> None:
             save(field, local)
         return
     if isinstance(field, SparseSDM):
-        save_band(field, Path(path))
+        save_band(field, as_path(path))
         return
-    save_made_from(field, Path(path), None)
+    save_made_from(field, as_path(path), None)
 
 
 def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
@@ -87,6 +88,8 @@ def write_made_from(
     Returns:
         The number of voxels inside, where such a process has counted them.
     """
+    if not isinstance(field, SDM):
+        raise SDMError(f"an object of type {type(field).__name__} is no map: give an SDM or a SparseSDM")
     chosen = format_of(target)
     if field.normalization is not None:
         check_normalized(target)
@@ -109,7 +112,7 @@ def load(path: str | Path) -> SDM:
     if is_remote(path):
         with local_copy(str(path)) as local:
             return load(local)
-    source = Path(path)
+    source = as_path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):
         if is_band(source):
@@ -126,7 +129,7 @@ def load_band(path: str | Path) -> SparseSDM:
     Raises:
         FormatError: As `load`, or a file of a map.
     """
-    source = Path(path)
+    source = as_path(path)
     _readable(source, FORMATS)
     with _reading(source):
         if not is_band(source):
@@ -148,7 +151,7 @@ def grid_like(path: str | Path | Any) -> Grid:
     """
     if not isinstance(path, str | Path):
         return as_grid(path)
-    source = Path(path)
+    source = as_path(path)
     chosen = _readable(source, FORMATS | HEADERS)
     with _reading(source):
         return band_origin(source)[0] if is_band(source) else chosen.module.read_grid(source)
@@ -160,7 +163,7 @@ def is_placed(path: str | Path) -> bool:
     Raises:
         FormatError: As `load`.
     """
-    source = Path(path)
+    source = as_path(path)
     chosen = _readable(source, FORMATS | HEADERS)
     with _reading(source):
         return not hasattr(chosen.module, "is_placed") or chosen.module.is_placed(source)
@@ -172,7 +175,7 @@ def made_from(path: str | Path) -> str | None:
     Raises:
         FormatError: As `load`.
     """
-    source = Path(path)
+    source = as_path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):
         if is_band(source):
@@ -219,7 +222,7 @@ def write_streamed(
     from sdm.engine.arguments import SignMethod
 
     asked: dict[str, Any] = {} if sign == "winding" and hole_size is None else {"sign": sign, "hole_size": hole_size}
-    target, grid = Path(path), as_grid(grid, index.mesh)
+    target, grid = as_path(path), as_grid(grid, index.mesh)
     chosen = check_target(target)
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:

@@ -8,6 +8,7 @@ from stat import S_ISDIR
 
 import numpy as np
 
+from sdm.core.given_values import as_path
 from sdm.core.mesh import LARGEST_COORDINATE, TriangleMesh
 from sdm.errors import FormatError, MeshError, one_line
 from sdm.io.files.list_files import visible
@@ -45,7 +46,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
                 return load_mesh(local)
         except FormatError as error:
             raise MeshError(str(error)) from error
-    source = Path(path)
+    source = as_path(path, MeshError)
     if (address := address_of(source)) is not None:
         return load_mesh(address)
     _check_file(source)
@@ -56,9 +57,16 @@ def load_mesh(path: str | Path) -> TriangleMesh:
 
 
 def mesh_files(folder: str | Path) -> list[Path]:
-    """The mesh files of a folder, by their endings, sorted by name; not those of folders in it, and no hidden ones."""
-    endings = mesh_endings()
-    return [path for path in visible(Path(folder)) if path.is_file() and path.name.lower().endswith(endings)]
+    """The mesh files of a folder, by their endings, sorted by name; not those of folders in it, and no hidden ones.
+
+    Raises:
+        MeshError: A folder that cannot be read.
+    """
+    place, endings = as_path(folder, MeshError), mesh_endings()
+    try:
+        return [path for path in visible(place) if path.is_file() and path.name.lower().endswith(endings)]
+    except OSError as error:
+        raise MeshError(f"the folder {place} cannot be read: {error.strerror or error}") from error
 
 
 def _check_file(path: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from stat import S_ISREG
 
+from sdm.core.given_values import as_path
 from sdm.errors import MeshError
 from sdm.io.meshes.formats import mesh_endings
 
@@ -20,7 +21,7 @@ def mesh_tree(folder: str | Path) -> list[Path]:
     Raises:
         MeshError: A folder that cannot be read, whose meshes would be left out.
     """
-    return [path for _, path in sorted(_files(Path(folder)))]
+    return [path for _, path in sorted(_files(as_path(folder, MeshError)))]
 
 
 def _files(root: Path) -> Iterator[tuple[tuple[str, ...], Path]]:

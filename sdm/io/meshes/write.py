@@ -9,6 +9,7 @@ from typing import BinaryIO, TypeAlias
 import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.given_values import as_path
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
@@ -38,7 +39,7 @@ def save_mesh(mesh: MeshLike, path: str | Path) -> None:
         MeshError: It is no mesh.
         FormatError: Another ending, or a place that cannot be written.
     """
-    target = Path(path)
+    target = as_path(path)
     _write(as_mesh(mesh), target, WRITERS[ending_to_write(target)])
 
 
@@ -48,7 +49,7 @@ def write_ply(mesh: TriangleMesh, path: str | Path) -> None:
     Raises:
         FormatError: A place that cannot be written.
     """
-    _write(mesh, Path(path), _ply)
+    _write(mesh, as_path(path), _ply)
 
 
 def ending_to_write(path: Path) -> str:

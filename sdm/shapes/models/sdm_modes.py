@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.device import choose_device
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
@@ -66,7 +67,7 @@ class SDMModes:
         arrays = {"mean": self.mean, "modes": self.modes, "deviations": self.deviations}
         content: dict[str, Any] = {name: value.cpu().numpy() for name, value in arrays.items()}
         content |= {"origin": np.array(self.grid.origin), "spacing": np.array(self.grid.spacing)}
-        write_arrays(Path(path), content, KIND, self.facts)
+        write_arrays(as_path(path), content, KIND, self.facts)
 
     @classmethod
     def load(cls, path: str | Path) -> SDMModes:
@@ -75,7 +76,7 @@ class SDMModes:
         Raises:
             FormatError: It cannot be read, or is something else.
         """
-        arrays, facts = read_arrays(Path(path), KIND, ARRAYS)
+        arrays, facts = read_arrays(as_path(path), KIND, ARRAYS)
         mean, modes, deviations = (torch.from_numpy(arrays[n]).float() for n in ARRAYS[:3])
         if mean.ndim != 3 or modes.shape[1:] != mean.shape or deviations.shape != modes.shape[:1]:
             raise FormatError(f"{path} holds no sound model: its arrays do not fit together")

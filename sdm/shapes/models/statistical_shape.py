@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import as_path
 from sdm.errors import MeshError
 from sdm.shapes.cube_sphere import cube_surface, unit_sphere
 from sdm.shapes.family import Family, Parameter, as_theta
@@ -127,7 +128,7 @@ class StatisticalShape(Family):
         """Write the model as .npz: plain arrays, no pickle."""
         from sdm.shapes.models.model_file import save_model
 
-        save_model(self, Path(path))
+        save_model(self, as_path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> StatisticalShape:
@@ -138,7 +139,7 @@ class StatisticalShape(Family):
         """
         from sdm.shapes.models.model_file import load_model
 
-        return load_model(Path(path))
+        return load_model(as_path(path))
 
     @classmethod
     def example(cls) -> StatisticalShape:
