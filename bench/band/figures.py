@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,12 @@ def draw(report: dict[str, Any], path: Path) -> None:
     with sheet(path, (13.0, 6.0), dpi=130, layout="constrained", look=STYLE) as figure:
         left, right = figure.subplots(1, 2)
         for axes, name, unit in ((left, "cpu", 1.0), (right, "peak", 2.0**20)):
-            for number, mesh in enumerate(meshes):
-                for library, (colour, dash) in LINES.items():
-                    found = [row for row in rows if row["mesh"] == mesh and row["library"] == library]
-                    if found:
-                        axes.plot(
-                            [row["resolution"] for row in found],
-                            [row[name] / unit for row in found],
-                            dash,
-                            color=colour,
-                            marker=MARKS[number % len(MARKS)],
-                            label=f"{library}, {mesh}",
-                        )
+            for (number, mesh), (library, (colour, dash)) in product(enumerate(meshes), LINES.items()):
+                found = [row for row in rows if row["mesh"] == mesh and row["library"] == library]
+                if found:
+                    sizes, values = [row["resolution"] for row in found], [row[name] / unit for row in found]
+                    mark = MARKS[number % len(MARKS)]
+                    axes.plot(sizes, values, dash, color=colour, marker=mark, label=f"{library}, {mesh}")
             log_axes(axes)
             sizes = sorted({row["resolution"] for row in rows})
             axes.set_xticks(sizes, [str(size) for size in sizes])

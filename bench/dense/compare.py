@@ -149,43 +149,37 @@ def run(options: Options) -> int:
         raise sdm.SDMError(f"no peer's name holds any of {', '.join(options.peers or ())}; there are {names}")
     missing = [note for peer in peers if (note := peer.missing()) is not None]
     peers = [peer for peer in peers if peer.available()]
-    left_out = []
-    results: list[dict[str, Any]] = []
-    for name in options.meshes or ():
-        if name not in own.cases and (note := missing_note(name)) is not None:
-            left_out.append(note)
-            continue
-        case = _case(name, own)
-        upload = _upload(case, device, options)
-        brute = Brute(case.vertices, case.faces, device)
-        questions = _questions(case, options)
-        for question in questions:
-            question.solve(brute)
-        answers: list[list[dict[str, Any]]] = [[] for _ in questions]
-        for peer in peers:
-            built = _build(peer, case, options)
-            for question, rows in zip(questions, answers, strict=True):
-                if question.grid is not None or peer.points_too:
-                    _progress(f"{question.title}: {peer.name}")
-                    rows.append(built | _measure(peer, question, options))
-        results += [
-            {
-                "title": question.title,
-                "mesh": case.name,
-                "triangles": len(case),
-                "size": question.size,
-                "upload_ms": upload,
-                "rows": rows,
-            }
-            for question, rows in zip(questions, answers, strict=True)
-        ]
+    absent = {name: note for name in options.meshes or () if name not in own.cases and (note := missing_note(name))}
+    there = [_case(name, own) for name in options.meshes or () if name not in absent]
+    results = [result for case in there for result in _results(case, peers, device, options)]
     _progress("")
     packages = ("warp-lang", "torch", "numpy", *(peer.package for peer in peers))
-    report = {**describe(device, packages), "results": results, "missing": missing, "left_out": left_out}
+    report = {**describe(device, packages), "results": results, "missing": missing, "left_out": [*absent.values()]}
     print_results(report)
     if options.out is not None:
         write_results(report, options.out)
     return int(any(row["peer"] == "sdm" and not row["fine"] for result in results for row in result["rows"]))
+
+
+def _results(case: Case, peers: list[Peer], device: str, options: Options) -> list[dict[str, Any]]:
+    """The answers of all peers to all questions about a mesh, a dictionary for each question."""
+    upload = _upload(case, device, options)
+    brute = Brute(case.vertices, case.faces, device)
+    questions = _questions(case, options)
+    for question in questions:
+        question.solve(brute)
+    answers: list[list[dict[str, Any]]] = [[] for _ in questions]
+    for peer in peers:
+        built = _build(peer, case, options)
+        for question, rows in zip(questions, answers, strict=True):
+            if question.grid is not None or peer.points_too:
+                _progress(f"{question.title}: {peer.name}")
+                rows.append(built | _measure(peer, question, options))
+    of_all = {"mesh": case.name, "triangles": len(case), "upload_ms": upload}
+    return [
+        {"title": question.title, **of_all, "size": question.size, "rows": rows}
+        for question, rows in zip(questions, answers, strict=True)
+    ]
 
 
 def _case(name: str, own: Own) -> Case:

@@ -51,28 +51,41 @@ def explore(
     """
     viser = check_place(host, port)
     mailbox = newest or NewestValues()
-    with _until_signalled(mailbox):
-        # It prints a table with the address.
-        with redirect_stdout(io.StringIO()):
-            server: Any = viser.ViserServer(host=host, port=port, label="sdm explore", verbose=False)
-        try:
-            if server.get_port() != port:
-                raise SDMError(TAKEN.format(port=port, host=host))
-            page = Page(server, scene, mailbox, unit)
+    with _until_signalled(mailbox), _ended(scene), _server(viser, host, port) as server:
+        page = Page(server, scene, mailbox, unit)
+        if not mailbox.ended:
+            say(address(host, port))
+        while not mailbox.ended:
+            changed = mailbox.take(page.until_step())
+            if changed:
+                page.draw(changed)
             if not mailbox.ended:
-                say(address(host, server.get_port()))
-            while not mailbox.ended:
-                changed = mailbox.take(page.until_step())
-                if changed:
-                    page.draw(changed)
-                if not mailbox.ended:
-                    page.step()
-        finally:
-            with redirect_stdout(io.StringIO()):
-                server.stop()
-            if isinstance(scene, Moving):
-                scene.close()
+                page.step()
     return page.drawn
+
+
+@contextmanager
+def _server(viser: Any, host: str, port: int) -> Iterator[Any]:
+    """A server of viser's, which prints a table with its address, and a line at its end."""
+    with redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="sdm explore", verbose=False)
+    try:
+        if server.get_port() != port:
+            raise SDMError(TAKEN.format(port=port, host=host))
+        yield server
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+@contextmanager
+def _ended(scene: Scene) -> Iterator[None]:
+    """A scene that is closed after the block, if it moves by itself."""
+    try:
+        yield
+    finally:
+        if isinstance(scene, Moving):
+            scene.close()
 
 
 def address(host: str, port: int) -> str:

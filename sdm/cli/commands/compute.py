@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from sdm.cli.common.argument_types import Device
+from sdm.cli.common.argument_types import Device, options_given
 from sdm.cli.common.numbers import numbers
 from sdm.cli.common.printed_line import print_line
 
 REPORT = "report.json"
+# Options that each say what the grid is.
+GRIDS = ("--resolution", "--spacing", "--grid-like")
 Ending = Literal["nii.gz", "nii", "npz", "nrrd", "mha", "mhd", "vti", "zarr", "nvdb"]
 
 
@@ -102,6 +103,7 @@ def compute(
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
+    given = options_given(compute, locals())
     from sdm.cli.common.imports_that_stay import imports_that_stay
     from sdm.cli.maps.map_sharing import early_processes
     from sdm.runtime import early_device
@@ -114,60 +116,23 @@ def compute(
 
             if ray is None:
                 early_device.begin(device)
-            from sdm.cli.common.inputs import refuse_inputs, refuse_twice
             from sdm.cli.common.output_files import plan
-            from sdm.cli.maps.map_settings import Settings
+            from sdm.cli.maps.map_settings import Settings, one_or_three
             from sdm.cli.maps.run import run
             from sdm.core.device import choose_device
             from sdm.engine.arguments import SignMethod
-            from sdm.errors import GridError, MeshError
             from sdm.io import grid_like as read_grid
-            from sdm.io.maps.formats import check_file, is_map_name
-            from sdm.io.maps.save_and_load import is_placed
+            from sdm.io.maps.formats import is_map_name
             from sdm.runtime.sharing.devices import devices_for
 
         SignMethod(sign, hole_size)
-        given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
-        both = [name for name, value in given.items() if value is not None]
-        if len(both) > 1:
-            raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
-        for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
-            if values is not None and len(values) not in (1, 3):
-                raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
-        if margin is not None and grid_like is not None:
-            raise GridError(
-                "--margin is room around the mesh, and --grid-like says where the grid is: give one of them"
-            )
+        _refuse_two_grids(given)
+        size, step = one_or_three("--resolution", resolution), one_or_three("--spacing", spacing)
         if len(meshes) == 1 and is_map_name(meshes[0]):
-            if both:
-                raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
-            from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
-
-            asked = {
-                "--sign flood": sign == "flood",
-                "--orient": orient != "keep",
-                "--hole-size": hole_size is not None,
-                "--margin": margin is not None,
-                "--format": format is not None,
-                "--scale": scale != 1,
-                "--mesh-space": mesh_space != "ras",
-                "--normalize": normalize is not None,
-                "--dtype": dtype != "float32",
-                "--truncate": truncate is not None,
-                "--band": band is not None,
-                "--resume": resume,
-                "--skip-bad": skip_bad,
-                "--report": report is not None,
-                "--ray": ray is not None,
-            }
-            refuse_mesh_options(meshes[0], [name for name, is_given in asked.items() if is_given])
-            write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
-            return None
-        if not (math.isfinite(scale) and scale > 0):
-            raise MeshError(f"--scale is {scale:g}: give a positive number to multiply the vertices by")
+            return _label_maps(meshes[0], out, given, sign, device)
         settings = Settings(
-            resolution=resolution[0] if resolution is not None and len(resolution) == 1 else resolution,
-            spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
+            resolution=size,
+            spacing=step,
             like=None if grid_like is None else read_grid(grid_like),
             like_image=grid_like,
             margin=0.05 if margin is None else margin,
@@ -183,23 +148,64 @@ def compute(
             band=band,
             resume=resume,
         )
-        if grid_like is not None and not is_placed(grid_like):
-            print_line(
-                f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
-                "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
-                error=True,
-            )
+        if grid_like is not None:
+            _tell_if_not_placed(grid_like)
         jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
         # All files of a folder have one format.
         settings.check_format(jobs[0][1])
-        # A map that is there already is skipped by --resume, and so may give the grid of the others.
-        like = None if resume else grid_like
         folder = out if out.is_dir() and not is_map_name(out) else None
         if report is None and skip_bad and folder is not None:
             report = folder / REPORT
-        refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
-        if report is not None:
-            refuse_twice(report, (target for _, target in jobs))
-            check_file(report)
+        # A map that is there already is skipped by --resume, and so may give the grid of the others.
+        _refuse_clashes(jobs, report, None if resume else grid_like)
         where = {"devices": devices_for(device), "ray": ray, "folder": folder}
         return run(jobs, settings, report=report, skip_bad=skip_bad, others=others, **where)
+
+
+def _refuse_two_grids(given: list[str]) -> None:
+    from sdm.errors import GridError
+
+    grids = [name for name in GRIDS if name in given]
+    if len(grids) > 1:
+        raise GridError(f"{' and '.join(grids)} each say what the grid is: give one of them")
+    if "--margin" in given and "--grid-like" in given:
+        raise GridError("--margin is room around the mesh, and --grid-like says where the grid is: give one of them")
+
+
+def _label_maps(source: Path, out: Path, given: list[str], sign: str, device: str) -> None:
+    """The maps of a label volume's classes.
+
+    Raises:
+        GridError: A grid is given, which is the volume's own.
+        SDMError: An option is given that says something of meshes alone.
+    """
+    from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
+    from sdm.core.device import choose_device
+    from sdm.errors import GridError
+
+    for name in (name for name in GRIDS if name in given):
+        raise GridError(f"{source} is a label volume, whose maps are on its own grid: leave out {name}")
+    ours = ("--device", "--sign") if sign == "none" else ("--device",)
+    refuse_mesh_options(source, [f"--sign {sign}" if name == "--sign" else name for name in given if name not in ours])
+    write_label_maps(source, out, signed=sign != "none", device=choose_device(device))
+
+
+def _tell_if_not_placed(image: Path) -> None:
+    from sdm.io.maps.save_and_load import is_placed
+
+    if not is_placed(image):
+        print_line(
+            f"sdm: {image} does not say how it lies in space (qform and sform have code 0): "
+            "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
+            error=True,
+        )
+
+
+def _refuse_clashes(jobs: list[tuple[Path, Path]], report: Path | None, like: Path | None) -> None:
+    from sdm.cli.common.inputs import refuse_inputs, refuse_twice
+    from sdm.io.maps.formats import check_file
+
+    refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
+    if report is not None:
+        refuse_twice(report, (target for _, target in jobs))
+        check_file(report)

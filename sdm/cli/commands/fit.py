@@ -117,23 +117,26 @@ def fit(
     choose_device(device)
     files = FitFiles(out, mesh, picture, residuals, free_form)
     if points is not None or family is not None:
-        from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
-
         if backend != "exact" or weights is not None:
             raise SDMError(
                 "--backend and --weights are for images of the cochlea: other shapes, and points, have one backend"
             )
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
-        if points is not None:
-            refuse_inputs([out, mesh], [points])
-            return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
-        return fit_any_family(
-            Path(str(image)), str(family), files, given, triangles, device,
-            with_blur=estimate_blur, with_formation=estimate_formation, mirror=mirror,
-        )  # fmt: skip
+    if points is not None:
+        from sdm.cli.commands.families.fit_any import fit_family_points
+
+        refuse_inputs([out, mesh], [points])
+        return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
+    if family is not None:
+        from sdm.cli.commands.families.fit_any import fit_any_family
+
+        return fit_any_family(
+            image, family, files, given, triangles, device,
+            with_blur=estimate_blur, with_formation=estimate_formation, mirror=mirror,
+        )  # fmt: skip
     if weights is not None and backend == "exact":
         raise SDMError("--weights are a surrogate's: leave them out, or ask for --backend surrogate or hybrid")
     scan = sdm.load(image)
@@ -141,14 +144,7 @@ def fit(
         backend, triangles=TRIANGLES if triangles is None else triangles, weights=weights, device=device, mirror=mirror
     )
     with FitProgress(image, scan, options) as progress:
-        result = fit_shape(
-            scan.values,
-            scan.grid,
-            first,
-            finish=finish,
-            options=options,
-            report=progress,
-        )
+        result = fit_shape(scan.values, scan.grid, first, finish=finish, options=options, report=progress)
         exact = finish or exact_of(first) or first
         if estimate_formation:
             from sdm.fit.solve.formation import estimate as formations

@@ -154,21 +154,15 @@ def generate(
     }
     asked = {key: value for key, value in asked.items() if value is not None}
     if verify:
-        further = {"count": count, "resolution": resolution, "margin": margin, "resume": resume or None, **asked}
-        for name in (name for name, value in further.items() if value is not None):
-            raise SDMError(
-                f"--verify makes shards again as the dataset was begun: leave out --{name.replace('_', '-')}"
-            )
+        _refuse_to_verify(
+            {"count": count, "resolution": resolution, "margin": margin, "resume": resume or None, **asked}
+        )
         return _verify(source, options, out, device, ray)
     begun = None
     if source is None and resume:
         recipe, there, begun, known = _recipe(out)
         asked, count = {**recipe, **asked}, there if count is None else count
-        changes = {key: value for key, value in options.items() if value is not None}
-        if changes:
-            if "file" in known:
-                raise SDMError("name the dataset's family to change its options: code is run only where it is named")
-            known = _describe(known.get("family") or known.get("folder") or "", {**_options(known), **changes})
+        known = _changed(known, {key: value for key, value in options.items() if value is not None})
     elif source is None:
         raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
     else:
@@ -212,6 +206,28 @@ def _named(family: str, source: str | None) -> str:
     if not is_family(family):
         raise SDMError(f"--family takes a family; give the folder of meshes in the first place: {family}")
     return family
+
+
+def _refuse_to_verify(options: dict[str, Any]) -> None:
+    from sdm.errors import SDMError
+
+    for name in (name for name, value in options.items() if value is not None):
+        raise SDMError(f"--verify makes shards again as the dataset was begun: leave out --{name.replace('_', '-')}")
+
+
+def _changed(known: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """The source that a dataset was begun with, with other options.
+
+    Raises:
+        SDMError: It is a family of a user's, whose file is to be named.
+    """
+    from sdm.errors import SDMError
+
+    if not options:
+        return known
+    if "file" in known:
+        raise SDMError("name the dataset's family to change its options: code is run only where it is named")
+    return _describe(known.get("family") or known.get("folder") or "", {**_options(known), **options})
 
 
 def _grid_of(begun: Grid | None, resolution: int | None, margin: float | None) -> Callable[[Family], Grid]:

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 import tyro
 
 Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
+
+
+def options_given(command: Callable[..., Any], values: Mapping[str, Any]) -> list[str]:
+    """Options of a command, such as `--hole-size`, whose values are not their defaults."""
+    return [
+        f"--{name.replace('_', '-')}"
+        for name, argument in inspect.signature(command).parameters.items()
+        if argument.default not in (argument.empty, values[name])
+    ]
+
 
 WORDS: dict[Any, str] = {int: "N", float: "X", str: "TEXT"}
 NUMBERS = tyro.constructors.ConstructorRegistry()

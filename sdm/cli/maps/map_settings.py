@@ -6,7 +6,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.engine.arguments import Orient, Sign
-from sdm.errors import FormatError, GridError, SDMError
+from sdm.errors import FormatError, GridError, MeshError, SDMError
 from sdm.io.bands.save_and_load import check_band_target
 from sdm.io.maps.formats import check_normalized
 from sdm.io.maps.half_precision import require_half_range
@@ -25,6 +25,21 @@ from sdm.shapes.family import check_resolution
 
 # Formats that have half precision, by their endings.
 WITH_HALF = ("npz", "zarr")
+
+
+T = TypeVar("T", int, float)
+
+
+def one_or_three(option: str, values: tuple[T, ...] | None) -> T | tuple[T, ...] | None:
+    """The numbers of an option for all axes, or its one number.
+
+    Raises:
+        GridError: There are others.
+    """
+    if values is not None and len(values) not in (1, 3):
+        kind = "length" if option == "--spacing" else "number"
+        raise GridError(f"{option} takes one {kind} or three, not {len(values)}")
+    return values[0] if values is not None and len(values) == 1 else values
 
 
 @dataclass(frozen=True)
@@ -78,6 +93,8 @@ class Settings:
                 )
         if self.like is None:
             self._check_grid()
+        if not (math.isfinite(self.scale) and self.scale > 0):
+            raise MeshError(f"--scale is {self.scale:g}: give a positive number to multiply the vertices by")
         if self.truncate is not None and not (math.isfinite(self.truncate) and self.truncate > 0):
             raise SDMError(f"--truncate is {self.truncate:g}: give a positive length")
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
+
 from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.progress import FileProgress
@@ -127,68 +129,25 @@ def run(
 
     `devices` of this machine share the meshes if there are many, or those of the Ray cluster at `ray` do.
     """
-    found = inputs_of(meshes)
-    if not found:
-        where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
-        raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
+    chosen = _chosen(meshes, dataset, split)
     if out.exists() and not out.is_dir():
         raise FormatError(f"{shown(out)} is a file: name a folder for the samples")
-    if dataset is not None and (Path(dataset).name != dataset or dataset == ".."):
-        raise SDMError(f"--dataset {dataset} is no name of a folder: give one without {os.sep}")
-    roots = [path for path in meshes if path.is_dir()]
-    sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
-    if layout_name in BY_LINES and (odd := next((own.path for own in instances if "\n" in own.path), None)):
+    odd = next((own.path for own in chosen.instances if "\n" in own.path), None)
+    if layout_name in BY_LINES and odd is not None:
         raise FormatError(f"the layout {layout_name} lists meshes line by line, and {odd!r} has two lines: rename it")
-    named = dataset or (roots[0].resolve().name if roots else "meshes")
-    layout = layout_called(layout_name, named)
+    layout = layout_called(layout_name, chosen.dataset)
     recipe, where = options.recipe(layout_name, layout), choose_device(device)
     require_room(recipe.count, where)
+    seconds = len(chosen.sources) * recipe.count * SECONDS_OF_A_SAMPLE
+    processes = [str(where)] if devices is None else processes_for(devices, seconds)
     times = StageTimes() if times is None else times
-    entries: list[MeshEntry] = []
     try:
         out.mkdir(parents=True, exist_ok=True)
         # Of two at a time the recipe would be that of one, and samples those of both.
         with alone(out):
-            recipe.claim(out, [instance.path for instance in instances], parts, resume=resume)
-            journal = SampleJournal(out, out / REPORT, len(sources), resume=resume)
-            known = journal.known
-            sampling = FolderSampling(
-                sources, instances, out, layout, recipe, where, parts=parts, known=known, workers=workers, times=times
-            )
-            with journal, FileProgress(len(sources), times) as progress:
-                progress.begin(sources[0].name)
-
-                def hear(told: Iterable[MeshEntry]) -> None:
-                    for entry in told:
-                        entries.append(journal.told(len(entries), entry))
-                        progress.end()
-                        if len(entries) < len(sources):
-                            progress.begin(sources[len(entries)].name)
-
-                seconds = len(sources) * recipe.count * SECONDS_OF_A_SAMPLE
-                processes = [str(where)] if devices is None else processes_for(devices, seconds)
-                if ray is not None or len(processes) > 1:
-                    size = shard_size(len(sources), 0 if ray is not None else len(processes))
-                    job = SampleJob(
-                        wanted=list(range(len(sources))),
-                        each=-(-size // layout.together) * layout.together,
-                        sources=sources,
-                        instances=instances,
-                        out=out,
-                        dataset=named,
-                        recipe=recipe,
-                        workers=workers,
-                        known=known,
-                        stand_ins=stand_ins(),
-                    )
-                    share_out(job, job.shards, processes, ray, hear, times)
-                else:
-                    found_of = sampling.some(range(len(sources)))
-                    hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)
-                sampling.end([entry.state != "failed" for entry in entries])
-                if resume:
-                    remove_leftovers(out)
-                write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
+            recipe.claim(out, [instance.path for instance in chosen.instances], chosen.parts, resume=resume)
+            by = {"ray": ray, "resume": resume, "workers": workers}
+            entries = _sample(chosen, out, layout, recipe, where, processes, times, **by)
     except OSError as error:
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     done = sum(entry.state != "failed" for entry in entries)
@@ -197,22 +156,97 @@ def run(
     return sum_up(entries, skip_bad)
 
 
-def _chosen(
-    found: dict[Path, Path], instances: list[Instance], meshes: list[Path], part: str | None
-) -> tuple[list[Path], list[Instance], dict[str, list[int]]]:
-    """The meshes to sample, of a folder's part or all, their names, and the numbers that each part of its split has."""
+def _sample(
+    chosen: _Chosen,
+    out: Path,
+    layout: Layout,
+    recipe: Recipe,
+    where: torch.device,
+    processes: list[str],
+    times: StageTimes,
+    *,
+    ray: str | None,
+    resume: bool,
+    workers: int | None,
+) -> list[MeshEntry]:
+    """Sample each mesh into a folder of this recipe; what there is to say about them, in order."""
+    sources, instances = chosen.sources, chosen.instances
+    journal = SampleJournal(out, out / REPORT, len(sources), resume=resume)
+    known = journal.known
+    sampling = FolderSampling(
+        sources, instances, out, layout, recipe, where, parts=chosen.parts, known=known, workers=workers, times=times
+    )
+    entries: list[MeshEntry] = []
+    with journal, FileProgress(len(sources), times) as progress:
+        progress.begin(sources[0].name)
+
+        def hear(told: Iterable[MeshEntry]) -> None:
+            for entry in told:
+                entries.append(journal.told(len(entries), entry))
+                progress.end()
+                if len(entries) < len(sources):
+                    progress.begin(sources[len(entries)].name)
+
+        if ray is None and len(processes) < 2:
+            found_of = sampling.some(range(len(sources)))
+            hear(entry_of(outcome, sources[number], recipe.sign) for number, outcome in found_of)
+        else:
+            size = shard_size(len(sources), 0 if ray is not None else len(processes))
+            job = SampleJob(
+                wanted=list(range(len(sources))),
+                each=-(-size // layout.together) * layout.together,
+                sources=sources,
+                instances=instances,
+                out=out,
+                dataset=chosen.dataset,
+                recipe=recipe,
+                workers=workers,
+                known=known,
+                stand_ins=stand_ins(),
+            )
+            share_out(job, job.shards, processes, ray, hear, times)
+        sampling.end([entry.state != "failed" for entry in entries])
+        if resume:
+            remove_leftovers(out)
+        write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
+    return entries
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Chosen:
+    """The meshes to sample, and their names.
+
+    Args:
+        sources: Their files.
+        instances: Their names in a dataset.
+        parts: The numbers that each part of the folder's split has.
+        dataset: The dataset's name.
+    """
+
+    sources: list[Path]
+    instances: list[Instance]
+    parts: dict[str, list[int]]
+    dataset: str
+
+
+def _chosen(meshes: list[Path], dataset: str | None, part: str | None) -> _Chosen:
+    """The meshes of a folder's part, or all.
+
+    Raises:
+        FormatError: The lists of a split cannot be read.
+        MeshError: There are none.
+        SDMError: The dataset's name is no name of a folder.
+    """
+    found = inputs_of(meshes)
+    if not found:
+        where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
+        raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
+    if dataset is not None and (Path(dataset).name != dataset or dataset == ".."):
+        raise SDMError(f"--dataset {dataset} is no name of a folder: give one without {os.sep}")
     if part is not None and not (len(meshes) == 1 and meshes[0].is_dir()):
         raise MeshError("--split takes a part of one folder of meshes, which sdm split has split: name that folder")
-    files = list(found)
-    if len(meshes) != 1:
-        return files, instances, {}
-    try:
-        lists = read_split(meshes[0]) if meshes[0].is_dir() else {}
-    except FormatError:
-        # A file of that name may be somebody else's.
-        if part is not None:
-            raise
-        lists = {}
+    files, instances = list(found), instances_of(places_in(found))
+    lists = _lists_of(meshes[0], required=part is not None) if len(meshes) == 1 else {}
     if part is not None:
         kept = files_of_part(meshes[0], part, files)
         if not kept:
@@ -220,4 +254,21 @@ def _chosen(
         by_file = dict(zip(files, instances, strict=True))
         files, instances, lists = kept, [by_file[file] for file in kept], {part: lists[part]}
     number = {found[file].as_posix(): n for n, file in enumerate(files)}
-    return files, instances, {name: [number[path] for path in own if path in number] for name, own in lists.items()}
+    roots = [path for path in meshes if path.is_dir()]
+    return _Chosen(
+        sources=files,
+        instances=instances,
+        parts={name: [number[path] for path in own if path in number] for name, own in lists.items()},
+        dataset=dataset or (roots[0].resolve().name if roots else "meshes"),
+    )
+
+
+def _lists_of(source: Path, *, required: bool) -> dict[str, list[str]]:
+    """The parts of a folder's split; none if it has none, and of a file."""
+    try:
+        return read_split(source) if source.is_dir() else {}
+    except FormatError:
+        # A file of that name may be somebody else's.
+        if required:
+            raise
+        return {}

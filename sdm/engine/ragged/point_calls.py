@@ -73,15 +73,20 @@ def distances_of(
     for chunk in in_chunks(asked(), load, lambda job: max_bytes or bytes_for(job.mesh.device)):
         found = _together(chunk, closest, sign)
         for job in chunk:
-            if job.number in found:
-                values = found.pop(job.number)
-                if not job.points.is_cuda:
-                    with named(f"mesh {job.number}: "):
-                        look_at_points(job.mesh, job.points, values, sign)
-            else:
-                with named(f"mesh {job.number}: "):
-                    values = numbered(job.number, partial(single, job.mesh, job.points, job.mesh.device))
-            yield values
+            yield _looked_at(job, found.pop(job.number), sign) if job.number in found else _by_itself(job, single)
+
+
+def _looked_at(job: PointsJob, values: Any, sign: Sign) -> Any:
+    """The answer, of which it was said if it is probably not what was meant; a GPU would be waited for."""
+    if not job.points.is_cuda:
+        with named(f"mesh {job.number}: "):
+            look_at_points(job.mesh, job.points, values, sign)
+    return values
+
+
+def _by_itself(job: PointsJob, single: Callable[..., Any]) -> Any:
+    with named(f"mesh {job.number}: "):
+        return numbered(job.number, partial(single, job.mesh, job.points, job.mesh.device))
 
 
 def _together(chunk: Sequence[PointsJob], closest: bool, sign: Sign) -> dict[int, Any]:
