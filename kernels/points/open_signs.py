@@ -12,14 +12,12 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
+from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.launch import launch
 from sdm.kernels.points.edge_signs import lanes_and_parts, sign_part
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.open_meshes import EDGES, ROW, SIXTEENS, OpenMeshes, by_itself, winding_of
 from sdm.kernels.points.packets import (
-    APART,
     COVERED,
     FAR,
     NEXT_SIDE,
@@ -29,20 +27,17 @@ from sdm.kernels.points.packets import (
     is_finite,
     mesh_of,
     numbered,
-    packet_end,
-    point_or_middle,
     read_box,
     scale_of,
 )
 from sdm.kernels.points.plan import PointsPlan
-from sdm.kernels.points.query import BALL_ROOM, BALLS, workers_for
-from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, crossings_in_list, list_rays
+from sdm.kernels.points.query import workers_for
+from sdm.kernels.points.signs import INSIDE, UNKNOWN, inside_by_rays, sides_of_packet
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, on_cpu, wait_for_lanes
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, on_cpu
 from sdm.kernels.winding.eights.packed_edges import ROW as EDGES_ROW
 from sdm.kernels.winding.eights.packed_edges import pack_in_rows
 from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
-from sdm.kernels.winding.ray_crossings import count_crossings, winding_of_closed
 from sdm.kernels.winding.winding_number import MANY, OPEN, inside_at
 
 wp.set_module_options({"enable_backward": False})
@@ -82,35 +77,8 @@ def _find_sides(
     packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
     while packet < packets.count:
         mesh = mesh_of(packets, packet)
-        box = read_box(packets, packet)
-        hint = packets.hints[packet]
-        covered = (hint & COVERED) != 0
-        apart = (hint & APART) != 0
-        low, high = node_box(tree, nodes_of(tree_of(tree, mesh), mesh) + 1)
-        back = low[0] + high[0] > 2.0 * box.centre[0] and not covered
-        found = int(-1)
-        if (hint & FAR) != 0 and box.half2 < LARGEST_SQUARE:
-            if apart:
-                box.half = wp.vec3(0.0, 0.0, 0.0)
-            found = list_rays(tree_of(tree, mesh), mesh, box, back, scratch, room, lane, lanes)
-        end = packet_end(packets, packet)
-        first = PACKET * packet
-        while first < end:
-            at = first + lane
-            p = wp.vec3d(box.centre)
-            if not apart:
-                p = point_or_middle(tree, mesh, points, order, at, end, box)
-            side = UNKNOWN
-            if found >= 0:
-                total = crossings_in_list(tree, mesh, p, back, scratch, room, found, lane, lanes)
-                if covered:
-                    total = total + count_crossings(winding_of(meshes, mesh).caps.tree, 0, p)
-                side = wp.where(total > 0, INSIDE, OUTSIDE)
-            if at < end:
-                sides[at] = side
-            first = first + lanes
-        # The scratch is read until here.
-        wait_for_lanes()
+        caps = winding_of(meshes, mesh).caps.tree
+        sides_of_packet(tree, mesh, caps, points, order, packets, packet, scratch, room, sides, lane, lanes)
         packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
 
 
@@ -196,11 +164,7 @@ def _write_signs(
                 hint = packets.hints[at / PACKET]
                 if (hint & FAR) != 0 and (hint & COVERED) == 0:
                     radius = scale * wp.float64(values[i])
-                    # Two balls that meet: no surface is between their centres.
-                    if wp.length(p - before) < (reach + radius) * BALLS - BALL_ROOM:
-                        inside = before_inside
-                    else:
-                        inside = winding_of_closed(one, 0, p) > 0
+                    inside = inside_by_rays(one, 0, p, radius, before, reach, before_inside)
                     if on_cpu():
                         before = p
                         reach = radius

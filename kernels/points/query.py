@@ -42,9 +42,8 @@ from sdm.kernels.points.packets import (
     scale_of,
 )
 from sdm.kernels.points.plan import PointsPlan
-from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, find_sides
+from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, find_sides, inside_by_rays
 from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers, on_cpu
-from sdm.kernels.winding.ray_crossings import winding_of_closed
 from sdm.kernels.winding.winding_number import UNSIGNED, Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
@@ -53,8 +52,6 @@ wp.set_module_options({"enable_backward": False})
 PACKETS_OF_THREAD = 32
 # Of a point's place along the curve; the number of its mesh is above.
 _CODE_BITS = 3 * POINT_BITS
-# Room for rounding, of coordinates to float32 and to the rays' lattice, in what two balls cover: a share, and scaled.
-BALLS, BALL_ROOM = wp.constant(wp.float64(1.0 - 1.0e-5)), wp.constant(wp.float64(1.0e-6))
 
 
 @wp.kernel
@@ -198,11 +195,7 @@ def _query(
                     hint = packets.hints[at / PACKET]
                     if (hint & FAR) != 0 and (hint & COVERED) == 0:
                         radius = wp.sqrt(distance2)
-                        # Two balls that meet: no surface is between their centres.
-                        if wp.length(p - before) < (reach + radius) * BALLS - BALL_ROOM:
-                            inside = before_inside
-                        else:
-                            inside = winding_of_closed(tree_of(tree, mesh), mesh, p) > 0
+                        inside = inside_by_rays(tree_of(tree, mesh), mesh, p, radius, before, reach, before_inside)
                         if on_cpu():
                             before = p
                             reach = radius

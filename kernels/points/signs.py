@@ -31,12 +31,20 @@ from sdm.kernels.points.packets import (
 )
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import wait_for_lanes
-from sdm.kernels.winding.ray_crossings import count_crossings, count_on_ray, crossing_on_ray, ray_from
+from sdm.kernels.winding.ray_crossings import (
+    count_crossings,
+    count_on_ray,
+    crossing_on_ray,
+    ray_from,
+    winding_of_closed,
+)
 from sdm.kernels.winding.winding_number import Winding
 
 wp.set_module_options({"enable_backward": False})
 
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
+# Room for rounding, of coordinates to float32 and to the rays' lattice, in what two balls cover: a share, and scaled.
+BALLS, BALL_ROOM = wp.constant(wp.float64(1.0 - 1.0e-5)), wp.constant(wp.float64(1.0e-6))
 
 
 @wp.func
@@ -95,6 +103,70 @@ def crossings_in_list(
     return wp.where(back, -total, total)
 
 
+@wp.func
+def inside_by_rays(
+    tree: Tree,
+    mesh: int,
+    p: wp.vec3d,
+    radius: wp.float64,
+    before: wp.vec3d,
+    reach: wp.float64,
+    before_inside: bool,
+):
+    """True where p (scaled), so far from the surface, is inside as rays tell; the point before had such a side."""
+    # Two balls that meet: no surface is between their centres.
+    if wp.length(p - before) < (reach + radius) * BALLS - BALL_ROOM:
+        return before_inside
+    return winding_of_closed(tree, mesh, p) > 0
+
+
+@wp.func
+def sides_of_packet(
+    tree: Tree,
+    mesh: int,
+    caps: Tree,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    packets: Packets,
+    packet: int,
+    scratch: wp.array(dtype=wp.int32),
+    room: int,
+    sides: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+):
+    """Fill a packet's sides, of points of a mesh of the tree whose holes have these caps."""
+    low, high = node_box(tree, nodes_of(tree_of(tree, mesh), mesh) + 1)
+    box = read_box(packets, packet)
+    hint = packets.hints[packet]
+    covered = (hint & COVERED) != 0
+    apart = (hint & APART) != 0
+    back = low[0] + high[0] > 2.0 * box.centre[0] and not covered
+    found = int(-1)
+    if (hint & FAR) != 0 and box.half2 < LARGEST_SQUARE:
+        if apart:
+            box.half = wp.vec3(0.0, 0.0, 0.0)
+        found = list_rays(tree_of(tree, mesh), mesh, box, back, scratch, room, lane, lanes)
+    end = packet_end(packets, packet)
+    first = PACKET * packet
+    while first < end:
+        at = first + lane
+        p = wp.vec3d(box.centre)
+        if not apart:
+            p = point_or_middle(tree, mesh, points, order, at, end, box)
+        side = UNKNOWN
+        if found >= 0:
+            total = crossings_in_list(tree, mesh, p, back, scratch, room, found, lane, lanes)
+            if covered:
+                total = total + count_crossings(caps, 0, p)
+            side = wp.where(total > 0, INSIDE, OUTSIDE)
+        if at < end:
+            sides[at] = side
+        first = first + lanes
+    # The scratch is read until here.
+    wait_for_lanes()
+
+
 @wp.kernel(launch_bounds=(128, POINT_BLOCKS_PER_SM))
 def _find_sides(
     begin: int,
@@ -113,35 +185,9 @@ def _find_sides(
     packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
     while packet < packets.count:
         mesh = mesh_of(packets, packet)
-        low, high = node_box(tree, nodes_of(tree_of(tree, mesh), mesh) + 1)
-        box = read_box(packets, packet)
-        hint = packets.hints[packet]
-        covered = (hint & COVERED) != 0
-        apart = (hint & APART) != 0
-        back = low[0] + high[0] > 2.0 * box.centre[0] and not covered
-        found = int(-1)
-        if (hint & FAR) != 0 and box.half2 < LARGEST_SQUARE:
-            if apart:
-                box.half = wp.vec3(0.0, 0.0, 0.0)
-            found = list_rays(tree_of(tree, mesh), mesh, box, back, scratch, room, lane, lanes)
-        end = packet_end(packets, packet)
-        first = PACKET * packet
-        while first < end:
-            at = first + lane
-            p = wp.vec3d(box.centre)
-            if not apart:
-                p = point_or_middle(tree, mesh, points, order, at, end, box)
-            side = UNKNOWN
-            if found >= 0:
-                total = crossings_in_list(tree, mesh, p, back, scratch, room, found, lane, lanes)
-                if covered:
-                    total = total + count_crossings(winding.caps.tree, 0, p)
-                side = wp.where(total > 0, INSIDE, OUTSIDE)
-            if at < end:
-                sides[at] = side
-            first = first + lanes
-        # The scratch is read until here.
-        wait_for_lanes()
+        sides_of_packet(
+            tree, mesh, winding.caps.tree, points, order, packets, packet, scratch, room, sides, lane, lanes
+        )
         packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
 
 

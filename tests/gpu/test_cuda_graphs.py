@@ -353,13 +353,17 @@ def test_nothing_waits_for_a_batch(launches):
 def test_a_new_mesh_waits_for_its_faces_alone(launches):
     vertices, faces = torus(600)
     # Of large maps a class is recorded a call later.
-    meshes = [_mesh(vertices, faces) for _ in range(CALLS + 3)]
+    meshes = [_mesh(vertices, faces) for _ in range(CALLS + 6)]
     large = sdm.Grid([-1.2] * 3, [0.005] * 3, [480] * 3)
-    for mesh in meshes[:-1]:
+    for mesh in meshes[:-4]:
         sdm.signed_distance_map(mesh, large)
-    torch.cuda.synchronize()
-    sdm.signed_distance_map(meshes[-1], large)
-    assert not torch.cuda.current_stream().query()
+    # A host with much else to do may once take as long as the GPU.
+    returned_before = []
+    for mesh in meshes[-4:]:
+        torch.cuda.synchronize()
+        sdm.signed_distance_map(mesh, large)
+        returned_before.append(not torch.cuda.current_stream().query())
+    assert any(returned_before)
     assert len(launches) == 2
 
 
