@@ -106,7 +106,7 @@ def mesh_of(name: str) -> sdm.TriangleMesh:
         turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
         return sdm.TriangleMesh((vertices @ turn).astype(np.float32), faces)
     if name == "needle fan":
-        return sdm.TriangleMesh(*needle_fan(800))
+        return sdm.TriangleMesh(*needle_fan(300))
     case = load_case(name)
     return sdm.TriangleMesh(case.vertices, case.faces)
 

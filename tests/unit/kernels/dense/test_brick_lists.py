@@ -27,7 +27,7 @@ WHOLE_LISTS = 10**6
 
 def mesh_of(name: str) -> sdm.TriangleMesh:
     if name == "needle fan":
-        return sdm.TriangleMesh(*needle_fan(800))
+        return sdm.TriangleMesh(*needle_fan(300))
     if name == "all alike":
         # About the centre every triangle is as near as any.
         vertices, faces = sphere(24)
