@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.points import PointsIndex
-from sdm.errors import MeshError
+from sdm.errors import MeshError, one_line
 from sdm.inspect.positions import first_at_position
 from sdm.kernels.closest.float64_mesh import Answers, ExactMesh, Known, measure_in_float64
 from sdm.runtime.torch_warp import as_warp, on_current_stream
@@ -47,7 +47,7 @@ class ClosestInFloat64:
         equal: float = 0.0,
         name: str = "mesh",
     ) -> None:
-        corners = np.asarray(vertices, dtype=np.float64)
+        corners = float64_array(vertices, "the vertices")
         # Shapes and values are looked at first.
         whole = TriangleMesh(corners, faces, name)
         low, high = whole.bounds
@@ -70,7 +70,7 @@ class ClosestInFloat64:
         Raises:
             MeshError: The points are not (N,3).
         """
-        at = np.asarray(points, dtype=np.float64)
+        at = float64_array(points, "the points")
         if at.ndim != 2 or at.shape[1] != 3:
             raise MeshError(f"the points have shape {at.shape}; (N, 3) is needed")
         moved = torch.from_numpy(at - self.middle).to(self.index.device)
@@ -112,3 +112,15 @@ def _around_edges(corners: np.ndarray) -> np.ndarray:
     near = np.empty(len(order), np.int32)
     near[order] = order[following]
     return near.reshape(-1, 3)
+
+
+def float64_array(values: Any, what: str) -> np.ndarray:
+    """An array of float64 of whatever NumPy takes for one.
+
+    Raises:
+        MeshError: It holds something else than numbers.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"{what} are no array of numbers: {one_line(error)}") from error

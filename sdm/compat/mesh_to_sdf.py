@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from sdm.core.as_mesh import as_mesh
+from sdm.core.given_values import whole
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
@@ -96,6 +97,8 @@ def mesh_to_voxels(
         device: Where to compute; by default a GPU if there is one.
     """
     scaled = scale_to_unit_cube(mesh)
+    if whole(voxel_resolution, 1) is None:
+        raise SDMError(f"the resolution {voxel_resolution!r} must be a whole number of at least 1")
     step = 2.0 / max(voxel_resolution - 1, 1)
     grid = Grid((-1.0,) * 3, (step,) * 3, (voxel_resolution,) * 3)
     index = MeshIndex(scaled, device, warn=False)
@@ -150,6 +153,8 @@ def sample_sdf_near_surface(
     """
     scaled = scale_to_unit_sphere(mesh)
     random = np.random.default_rng(None if seed is None else derive_seed(seed, "samples about a mesh"))
+    if whole(number_of_points, 0) is None:
+        raise SDMError(f"{number_of_points!r} points were requested; give a whole number of at least 0")
     near = int(number_of_points * NEAR) // 2
     surface = _surface_points(scaled, near, random)
     about = [surface + random.normal(scale=deviation, size=surface.shape) for deviation in DEVIATIONS]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,13 @@ def whole(value: Any, least: int) -> int | None:
             return None
         found = int(number)
     return found if least <= found < _END else None
+
+
+def two_numbers(values: Any) -> tuple[float, float]:
+    """The two numbers of a range, and NaNs of what is none."""
+    if not isinstance(values, Sequence) or len(values) != 2:
+        return math.nan, math.nan
+    return real(values[0]), real(values[1])
 
 
 def as_path(path: Any, error: type[SDMError] = FormatError) -> Path:

@@ -8,6 +8,8 @@ from typing import SupportsIndex
 
 import torch
 
+from sdm.errors import SDMError
+
 
 def derive_seed(seed: SupportsIndex, *what: str | SupportsIndex) -> int:
     """Seed of 63 bits for one purpose: a hash of a user's seed and of what the random numbers are for.
@@ -21,8 +23,15 @@ def derive_seed(seed: SupportsIndex, *what: str | SupportsIndex) -> int:
         0 or more and below 2^63, the first bits of a SHA-256: what `torch.manual_seed`, `numpy.random.default_rng` and
         `sdm.shapes.uniform` take. Neighbouring seeds, steps and places have nothing in common, and
         `("a", "b")`, `("ab",)`, `1` and `"1"` are four purposes.
+
+    Raises:
+        SDMError: The seed is no whole number.
     """
-    digest = hashlib.sha256(b"".join(_encoded(part) for part in (operator.index(seed), *what))).digest()
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        raise SDMError(f"the seed is {seed!r}; give a whole number") from None
+    digest = hashlib.sha256(b"".join(_encoded(part) for part in (number, *what))).digest()
     return int.from_bytes(digest[:8], "little") >> 1
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sdm.dataset.writer import Progress, generate
+from sdm.errors import SDMError
 from sdm.stream import SDMStream
 
 
@@ -38,6 +39,8 @@ def freeze(
         FormatError: As of `generate`.
         SDMError: As of `generate`.
     """
+    if not isinstance(stream, SDMStream):
+        raise SDMError(f"an object of type {type(stream).__name__} is no stream: give an SDMStream")
     maker = stream.maker
     return generate(
         maker.family,

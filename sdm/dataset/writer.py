@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from sdm.core.as_grid import GridLike
-from sdm.core.given_values import as_path
+from sdm.core.given_values import as_path, whole
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.family_registry import other_family, with_reference
@@ -99,9 +99,9 @@ def generate(
     """
     target = as_path(path)
     folder = layout.part_of(target)
+    check_options(count, dtype=dtype, shard=shard, compression=compression)
     # The manifest takes no number of NumPy's.
     count, shard = int(count), None if shard is None else int(shard)
-    check_options(count, dtype=dtype, shard=shard, compression=compression)
     devices = ["cpu"] if ray is not None else devices_for(device) if processes is None else processes
     # Refuses what makes no sense before anything is on the disk.
     signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
@@ -162,11 +162,11 @@ def check_options(
     Raises:
         SDMError: A number, a name or a type that there is not.
     """
-    if count < 1:
-        raise SDMError(f"a dataset of {count} samples was requested; give at least 1")
-    if shard is not None and shard < 1:
-        raise SDMError(f"a shard of {shard} samples was requested; give at least 1")
-    if compression not in COMPRESSIONS:
+    if whole(count, 1) is None:
+        raise SDMError(f"a dataset of {count!r} samples was requested; give at least 1")
+    if shard is not None and whole(shard, 1) is None:
+        raise SDMError(f"a shard of {shard!r} samples was requested; give at least 1")
+    if not isinstance(compression, str) or compression not in COMPRESSIONS:
         raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
     if dtype not in (torch.float32, torch.float16):
         raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")

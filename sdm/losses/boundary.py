@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from sdm.errors import SDMError
-from sdm.losses.pair import pair
+from sdm.losses.pair import pair, require_tensors
 from sdm.losses.targets import Spacing, signed_distance_target
 
 
@@ -37,6 +37,7 @@ def boundary_loss(
         SDMError: Shapes that do not fit together, or another surface.
     """
     if distance is None:
+        require_tensors(probability, target)
         if probability.shape != target.shape:
             raise SDMError(f"a target of shape {tuple(target.shape)} does not fit {tuple(probability.shape)}")
         distance = signed_distance_target(target, spacing, surface=surface)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.errors import SDMError
 from sdm.losses.pair import pair
 
@@ -25,7 +26,7 @@ def clamped_l1_loss(prediction: Tensor, target: Tensor, *, delta: float = 0.1) -
     Raises:
         SDMError: A delta that is not positive, or shapes that do not fit together.
     """
-    if delta <= 0:
-        raise SDMError(f"delta must be positive, not {delta}")
+    if not real(delta) > 0:
+        raise SDMError(f"delta must be positive, not {delta!r}")
     prediction, target = pair(prediction, target)
     return (prediction.clamp(-delta, delta) - target.clamp(-delta, delta)).abs().mean()

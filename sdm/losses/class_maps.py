@@ -9,8 +9,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.errors import GridError, SDMError
+from sdm.losses.pair import require_tensors
 from sdm.losses.targets import Spacing
 
 
@@ -43,14 +45,15 @@ def class_maps(
         GridError: Another shape.
         SDMError: Classes for several channels, or a truncation that is not positive.
     """
+    require_tensors(labels)
     if labels.ndim == 3:
         labels = labels[None]
     if labels.ndim != 4:
         raise GridError(f"labels of shape {tuple(labels.shape)} are no sample: give (1,x,y,z), (x,y,z) or (C,x,y,z)")
     if classes is not None and labels.shape[0] != 1:
         raise SDMError(f"{labels.shape[0]} channels are masks of a class each: leave out classes")
-    if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
-        raise SDMError(f"the truncation {truncate} must be a positive distance")
+    if truncate is not None and not 0 < real(truncate) < math.inf:
+        raise SDMError(f"the truncation {truncate!r} must be a positive distance")
     missing = 0.0 if truncate is None else float(truncate)
     if classes is None:
         maps = euclidean_distance_transform(labels, spacing, signed=True, surface=surface, missing=missing)

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from sdm.errors import SDMError
-from sdm.losses.pair import at_least_float32, pair
+from sdm.losses.pair import at_least_float32, pair, require_tensors
 
 
 def cross_entropy_loss(logits: Tensor, target: Tensor, *, weight: Tensor | None = None) -> Tensor:
@@ -25,6 +25,9 @@ def cross_entropy_loss(logits: Tensor, target: Tensor, *, weight: Tensor | None 
     Raises:
         SDMError: Shapes that do not fit together, or not a weight for each class.
     """
+    require_tensors(logits, target, *([] if weight is None else [weight]))
+    if logits.ndim < 2:
+        raise SDMError(f"logits of shape {tuple(logits.shape)} have no channels: give (B,C,x,y,z)")
     classes = max(2, logits.shape[1])
     if weight is not None and weight.shape != (classes,):
         raise SDMError(f"weights of shape {tuple(weight.shape)} do not fit {classes} classes")

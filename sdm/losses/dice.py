@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdm.losses.pair import pair
+from sdm.losses.pair import pair, require_number
 
 
 def dice_loss(
@@ -29,6 +29,7 @@ def dice_loss(
         A scalar.
     """
     probability, target = pair(probability, target)
+    require_number(smooth, "smooth")
     rows = (-1,) if not per_sample else (probability.shape[0] * probability.shape[1], -1)
     probability, target = probability.reshape(rows), target.reshape(rows)
     both = (probability * target).sum(-1)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from sdm.engine.distance_transform import euclidean_distance_transform
-from sdm.losses.pair import pair
+from sdm.losses.pair import pair, require_number, require_tensors
 from sdm.losses.targets import Spacing, foreground_distance
 
 
@@ -41,6 +41,9 @@ def hausdorff_distance_loss(
     Returns:
         A scalar.
     """
+    require_tensors(probability, target)
+    require_number(power, "the power")
+    require_number(threshold, "the threshold")
     inside = target != 0
     probability, target = pair(probability, inside)
     with torch.no_grad():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdm.losses.pair import at_least_float32, pair
+from sdm.losses.pair import at_least_float32, pair, require_number, require_tensors
 
 
 def sdf_product_loss(
@@ -49,4 +49,6 @@ def probability_from_sdf(distance: Tensor, steepness: float = 1500.0) -> Tensor:
     Returns:
         Probabilities of the same shape.
     """
+    require_tensors(distance)
+    require_number(steepness, "the steepness")
     return torch.sigmoid(-steepness * at_least_float32(distance))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.errors import SDMError
-from sdm.losses.pair import pair
+from sdm.losses.pair import pair, require_tensors
 
 
 def inverse_weighted_mse_loss(prediction: Tensor, target: Tensor, *, epsilon: float = 1e-3) -> Tensor:
@@ -26,8 +27,8 @@ def inverse_weighted_mse_loss(prediction: Tensor, target: Tensor, *, epsilon: fl
     Raises:
         SDMError: An epsilon that is not positive, or shapes that do not fit together.
     """
-    if epsilon <= 0:
-        raise SDMError(f"epsilon must be positive, not {epsilon}: on the surface the weight is 1 / epsilon")
+    if not real(epsilon) > 0:
+        raise SDMError(f"epsilon must be positive, not {epsilon!r}: on the surface the weight is 1 / epsilon")
     prediction, target = pair(prediction, target)
     return ((prediction - target).square() / (target.abs() + epsilon)).mean()
 
@@ -42,6 +43,7 @@ def clipped_sdf(distance: Tensor, limit: float = 5.0) -> Tensor:
     Raises:
         SDMError: A limit that is not positive.
     """
-    if limit <= 0:
-        raise SDMError(f"the clipping distance must be positive, not {limit}")
+    require_tensors(distance)
+    if not real(limit) > 0:
+        raise SDMError(f"the clipping distance must be positive, not {limit!r}")
     return distance.clamp(-limit, limit) / limit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch.nn import functional
 
+from sdm.core.given_values import whole
 from sdm.errors import SDMError
 from sdm.metrics.masks import Mask, masks
 from sdm.metrics.overlap import dice
@@ -26,14 +27,15 @@ def contour_dice(prediction: Mask, truth: Mask, width: int = 5) -> float:
     Raises:
         SDMError: Another width, or masks that do not fit together.
     """
-    if width < 3 or width % 2 == 0:
-        raise SDMError(f"the band's cube must be an odd number of voxels wide, at least 3, not {width}")
+    edge = whole(width, 3)
+    if edge is None or edge % 2 == 0:
+        raise SDMError(f"the band's cube must be an odd number of voxels wide, at least 3, not {width!r}")
     prediction, truth = masks(prediction, truth)
     if prediction.any() and not truth.any():
         return 0.0
     value = truth.float()[None, None]
-    dilated = functional.max_pool3d(value, width, 1, width // 2) > 0
-    eroded = -functional.max_pool3d(-value, width, 1, width // 2) > 0
+    dilated = functional.max_pool3d(value, edge, 1, edge // 2) > 0
+    eroded = -functional.max_pool3d(-value, edge, 1, edge // 2) > 0
     band = (dilated & ~eroded)[0, 0]
     if truth.all():
         # A truth without background has no contour.

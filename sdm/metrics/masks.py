@@ -39,7 +39,7 @@ def _tensor(values: Mask, what: str) -> Tensor:
     if array.dtype.kind not in "buif":
         raise SDMError(f"the {what} holds {array.dtype} values: give a tensor or a NumPy array of a mask")
     # A copy, as torch holds no views with negative strides.
-    return torch.from_numpy(array != 0 if array.dtype.kind != "f" else np.array(array, np.float64))
+    return torch.from_numpy(np.array(array, np.float64) if array.dtype.kind == "f" else np.asarray(array != 0))
 
 
 def _mask(values: Tensor, what: str) -> Tensor:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.errors import SDMError
 from sdm.metrics.masks import Mask
 from sdm.metrics.surface_voxels import SurfaceDistances, surface_distances
@@ -69,8 +70,8 @@ def rms_surface_distance(prediction: Mask, truth: Mask, spacing_mm: Spacing) -> 
 
 def hausdorff_of(distances: SurfaceDistances, percentile: float = 95.0) -> float:
     """`hausdorff_distance` of distances known already."""
-    if not 0 <= percentile <= 100:
-        raise SDMError(f"a percentile is between 0 and 100, not {percentile}")
+    if not 0 <= real(percentile) <= 100:
+        raise SDMError(f"a percentile is between 0 and 100, not {percentile!r}")
     without = _without_surface(distances)
     return max(_percentile(d, percentile) for d in distances) if without is None else without
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
+from sdm.errors import SDMError
 from sdm.metrics.masks import Mask, masks
 
 
@@ -25,7 +26,12 @@ def surface_voxels(mask: Tensor) -> Tensor:
     """Foreground voxels with a face on the background or on the volume's border: bool (x,y,z).
 
     The definition of MONAI and of SciPy's `mask & ~binary_erosion(mask)`.
+
+    Raises:
+        SDMError: No tensor (x,y,z).
     """
+    if not isinstance(mask, Tensor) or mask.ndim != 3:
+        raise SDMError(f"an object of type {type(mask).__name__} is no volume: give a tensor (x,y,z)")
     inside = mask != 0
     around = functional.pad(inside, (1, 1, 1, 1, 1, 1))
     buried = inside.clone()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real, whole
 from sdm.errors import SDMError
 
 NEAR, UNIFORM, SURFACE = 0, 1, 2
@@ -36,15 +37,16 @@ class SampleLaw:
 
     def __post_init__(self) -> None:
         shares = (self.near, self.uniform, self.surface)
+        if not isinstance(self.deviations, list | tuple):
+            raise SDMError(f"the deviations are {self.deviations!r}; give lengths, such as (0.05, 0.02)")
         lengths = (*self.deviations, self.box)
-        whole = all(share >= 0 and share % 1 == 0 for share in shares)
-        if not whole or sum(shares) == 0 or (self.near and not self.deviations):
+        if None in (whole(share, 0) for share in shares) or sum(shares) == 0 or (self.near and not self.deviations):
             raise SDMError(
                 f"near, uniform, surface = {', '.join(map(str, shares))} is no law: give whole numbers of at least 0, "
                 "not all of them 0; and samples near the surface need deviations"
             )
-        if wrong := [length for length in lengths if not 0 <= length < math.inf]:
-            raise SDMError(f"{wrong[0]} is no law: deviations and the box's half edge are lengths of at least 0")
+        if wrong := [length for length in lengths if not 0 <= real(length) < math.inf]:
+            raise SDMError(f"{wrong[0]!r} is no law: deviations and the box's half edge are lengths of at least 0")
 
     def kinds(self, numbers: Tensor) -> Tensor:
         """The kind of each sample by its number (N,) int64: 0 near the surface, 1 anywhere, 2 on the surface."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import SMALL, choose_device, free_memory, gibibytes
+from sdm.core.given_values import whole
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.core.random import derive_seed
@@ -94,15 +95,19 @@ def sample(
         SDMError: A number that makes no sense, or more samples than fit into memory.
     """
     found = as_mesh(mesh)
-    if count < 1 or first < 0 or count % 1 or first % 1:
-        raise SDMError(f"{count} samples from number {first} were requested; give at least 1, from 0 or later")
+    if whole(count, 1) is None or whole(first, 0) is None or (end := whole(first + count, 1)) is None:
+        raise SDMError(f"{count!r} samples from number {first!r} were requested; give at least 1, from 0 or later")
+    if not isinstance(law, SampleLaw):
+        raise SDMError(f"the law is {law!r}; give a SampleLaw, such as sdm.sampling.PAPER")
+    if not isinstance(name, str | None):
+        raise SDMError(f"the name is {name!r}; give a text")
     SignMethod(sign, hole_size)
     where = choose_device(device, found.vertices)
     require_room(count, where)
     by = None if normalize is None else Normalization.of(found, normalize)
     measured = oriented(found if by is None else by.normalised(found), orient, where).to(where)
     index = MeshIndex(measured, where, warn=False)
-    numbers = torch.arange(first, first + count, dtype=torch.int64, device=where)
+    numbers = torch.arange(first, end, dtype=torch.int64, device=where)
     points, normals = draw_points(index.mesh, law, mesh_seed(seed, name or found.name), numbers)
     return measure(index, points, law.kinds(numbers), normals, by, sign=sign, hole_size=hole_size, closest=closest)
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.given_values import whole
 from sdm.core.random import derive_seed
 from sdm.errors import MeshError, SDMError
 from sdm.shapes.sampling import uniform
@@ -27,14 +28,14 @@ def surface_points(mesh: MeshLike, count: int, *, seed: int = 0) -> tuple[Tensor
         SDMError: Less than no points.
     """
     mesh = as_mesh(mesh)
-    if count < 0:
-        raise SDMError(f"{count} points were requested; give 0 or more")
+    if (number := whole(count, 0)) is None:
+        raise SDMError(f"{count!r} points were requested; give 0 or more")
     corners = mesh.vertices.detach()[mesh.faces.long()]
     areas = triangle_areas(corners)
     total = areas.cumsum(0)
     if not bool(total[-1] > 0):
         raise MeshError(f"every triangle of {mesh.name} has zero area; points of its surface need some")
-    numbers = uniform(derive_seed(seed, "surface points"), torch.arange(count, device=mesh.device), 4)
+    numbers = uniform(derive_seed(seed, "surface points"), torch.arange(number, device=mesh.device), 4)
     # 24 random bits are too few to choose among millions of triangles, so two numbers make one.
     choice = (numbers[:, 0].double() + numbers[:, 1].double() * 2.0**-24) * total[-1]
     face = torch.searchsorted(total, choice, right=True).clamp(max=len(areas) - 1)

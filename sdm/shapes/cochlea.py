@@ -9,6 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.given_values import real
 from sdm.errors import MeshError
 from sdm.kernels.shapes import cochlea
 from sdm.shapes.cochlea_design import CochleaDesign
@@ -68,8 +69,10 @@ class Cochlea(Family):
     )
 
     def __init__(self, triangles: int = 20_000, *, design: CochleaDesign | None = None) -> None:
-        if not FEWEST <= triangles <= MOST:
-            raise MeshError(f"a cochlea of {triangles} triangles was requested; {FEWEST} to {MOST:,} are supported")
+        if not FEWEST <= real(triangles) <= MOST:
+            raise MeshError(f"a cochlea of {triangles!r} triangles was requested; {FEWEST} to {MOST:,} are supported")
+        if not isinstance(design, CochleaDesign | None):
+            raise MeshError(f"the design is {design!r}; give a CochleaDesign")
         self.design = CochleaDesign() if design is None else design
         # An even number of cells puts a vertex at the middle of each cap.
         cells = 2 * max(1, round(math.sqrt(triangles / (8 * STEPS_PER_CELL + 4)) / 2))

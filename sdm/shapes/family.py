@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.device import choose_device
+from sdm.core.given_values import real, whole
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.random import derive_seed
@@ -43,8 +44,8 @@ class Parameter:
     unit: str = "1"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
-            raise MeshError(f"{self.name} runs from {self.low} to {self.high}; give finite ends, the lower first")
+        if not -math.inf < real(self.low) <= real(self.high) < math.inf:
+            raise MeshError(f"{self.name} runs from {self.low!r} to {self.high!r}; give finite ends, the lower first")
         for end, value in (("low", self.low), ("high", self.high)):
             # Numbers of NumPy's and torch's look different in a fingerprint, and a manifest does not take them.
             if type(value) is not int:
@@ -204,8 +205,8 @@ class Family(ABC):
         Raises:
             MeshError: A count or a start below 0, or another sampler.
         """
-        if count < 0 or start < 0:
-            raise MeshError(f"{count} samples from number {start} were requested; both are at least 0")
+        if whole(count, 0) is None or whole(start, 0) is None:
+            raise MeshError(f"{count!r} samples from number {start!r} were requested; both are at least 0")
         where = choose_device(device)
         index = torch.arange(start, start + count, dtype=torch.int64, device=where)
         return self.sample_at(index, seed=seed, sampler=sampler)
@@ -221,6 +222,7 @@ class Family(ABC):
         A sample depends on (family's name, sampler, seed, number) alone, however the numbers are split into batches.
         """
         numbers = sampling.as_index(index)
+        sampling.check_sampler(sampler)
         own = derive_seed(seed, "samples of a family", self.name, sampler)
         return self.from_unit(sampling.draw(sampler, own, numbers, len(self.parameters)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.demo_mesh import demo_mesh
+from sdm.core.given_values import real, two_numbers
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError, SDMError
 from sdm.kernels.shapes import warped
@@ -236,22 +237,23 @@ def _reach(points: Tensor, warp: float, angle: float) -> Tensor:
 
 
 def _parameters(rotation: float | None, scale: tuple[float, float], shift: float, warp: float) -> tuple[Parameter, ...]:
-    if not 0 < scale[0] <= scale[1] < math.inf:
-        raise MeshError(f"the scale runs from {scale[0]} to {scale[1]}; give two positive factors, the lower first")
-    if not 0 <= shift < math.inf:
-        raise MeshError(f"the largest shift is {shift}; give a share of the mesh of at least 0")
-    if not 0 <= warp <= LARGEST_WARP:
-        raise MeshError(f"the warp is {warp}; give 0 to {LARGEST_WARP}, so that it never folds a mesh")
-    if rotation is not None and not 0 <= rotation <= 180:
-        raise MeshError(f"the largest rotation is {rotation}; give 0 to 180 degrees, or None for all rotations")
+    least, most = two_numbers(scale)
+    if not 0 < least <= most < math.inf:
+        raise MeshError(f"the scale is {scale!r}; give two positive factors, the lower first")
+    if not 0 <= real(shift) < math.inf:
+        raise MeshError(f"the largest shift is {shift!r}; give a share of the mesh of at least 0")
+    if not 0 <= real(warp) <= LARGEST_WARP:
+        raise MeshError(f"the warp is {warp!r}; give 0 to {LARGEST_WARP}, so that it never folds a mesh")
+    if rotation is not None and not 0 <= real(rotation) <= 180:
+        raise MeshError(f"the largest rotation is {rotation!r}; give 0 to 180 degrees, or None for all rotations")
     if rotation is None:
         turn = [Parameter(f"u{i}", 0.0, 1.0) for i in (1, 2, 3)]
     else:
-        most = math.radians(rotation) / math.sqrt(3)
-        turn = [Parameter(f"turn_{axis}", -most, most, "rad") for axis in "xyz"]
+        angle = math.radians(rotation) / math.sqrt(3)
+        turn = [Parameter(f"turn_{axis}", -angle, angle, "rad") for axis in "xyz"]
     move = [Parameter(f"shift_{axis}", -shift, shift) for axis in "xyz"]
     bend = [Parameter(f"{wave}_{to}{by}", -warp, warp) for wave in ("sin", "cos") for to in "xyz" for by in "xyz"]
-    return (Parameter("scale", *scale), *turn, *move, *bend)
+    return (Parameter("scale", least, most), *turn, *move, *bend)
 
 
 def _read(
@@ -272,8 +274,10 @@ def _read(
         items: Sequence[MeshLike] = files if split is None else files_of_part(folder, split, files)
     elif split is not None:
         raise MeshError(f"a sequence of meshes has no part {split!r}: give a folder that sdm split has split")
-    else:
+    elif isinstance(source, Iterable) and not isinstance(source, bytes):
         items = list(source)
+    else:
+        raise MeshError(f"an object of type {type(source).__name__} is no folder and no list of meshes: give one")
     meshes, rejected = [], []
     for number, item in enumerate(items):
         if isinstance(item, str | Path):

@@ -64,6 +64,8 @@ def family_record(family: Family) -> dict[str, Any]:
     `fingerprint` is of faces, constants and parameters; `reference` holds mean and root mean square of x, y, z at three
     places of the box, since code may change under equal constants. No part of it is ever run.
     """
+    if not isinstance(family, Family):
+        raise MeshError(f"an object of type {type(family).__name__} is no family of shapes: sdm.shapes has some")
     return {
         "name": family.name,
         "parameters": [[p.name, p.low, p.high, p.unit] for p in family.parameters],

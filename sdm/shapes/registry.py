@@ -38,6 +38,6 @@ def make_family(name: str, *args: Any, **options: Any) -> Family:
     Raises:
         MeshError: There is no family of that name, or it refuses the options.
     """
-    if name not in families:
+    if not isinstance(name, str) or name not in families:
         raise MeshError(f"there is no family called {name!r}; use {', '.join(families)}")
     return families[name](*args, **options)

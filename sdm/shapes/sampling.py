@@ -11,6 +11,7 @@ The same numbers come out on every device, for every split into batches.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from functools import cache
 
@@ -18,6 +19,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.given_values import whole
 from sdm.errors import MeshError
 from sdm.kernels.shapes import counter_random
 from sdm.runtime.torch_warp import as_warp, on_current_stream
@@ -31,9 +33,18 @@ def draw(sampler: str, seed: int, index: Tensor, width: int) -> Tensor:
     Raises:
         MeshError: There is no sampler of that name.
     """
-    if sampler not in SAMPLERS:
-        raise MeshError(f"there is no sampler called {sampler!r}; use {', '.join(SAMPLERS)}")
+    check_sampler(sampler)
     return SAMPLERS[sampler](seed, index, width)
+
+
+def check_sampler(sampler: str) -> None:
+    """Refuse another name than a sampler's.
+
+    Raises:
+        MeshError: It is one.
+    """
+    if not isinstance(sampler, str) or sampler not in SAMPLERS:
+        raise MeshError(f"there is no sampler called {sampler!r}; use {', '.join(SAMPLERS)}")
 
 
 def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
@@ -47,7 +58,7 @@ def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
     Returns:
         (B,width) float32 on the index's device.
     """
-    numbers = as_index(index)
+    numbers, width = as_index(index), _width(width, 0)
     values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
     if values.numel():
         with on_current_stream(values, numbers) as device:
@@ -69,7 +80,7 @@ def sobol(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
     Direction numbers of Joe and Kuo, SIAM Journal on Scientific Computing 30, 2008. Any 2^m points that start at a
     multiple of 2^m are as evenly spread as without the shift.
     """
-    numbers = as_index(index)
+    numbers, width = as_index(index), _width(width, 0)
     values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
     if values.numel():
         directions = _directions(width, numbers.device)
@@ -108,24 +119,44 @@ def grid(per_axis: int, width: int) -> Tensor:
     Raises:
         MeshError: Fewer than 2 points for each axis, or more than 2^28 in all.
     """
-    if per_axis < 2:
-        raise MeshError(f"a grid of {per_axis} points for each axis has no width; give 2 or more")
-    if per_axis**width > LARGEST_GRID:
-        raise MeshError(f"a grid of {per_axis} points for each of {width} axes is too large: use a random sampler")
-    axis = torch.linspace(0, 1, per_axis, dtype=torch.float32, device="cpu")
+    count = whole(per_axis, 2)
+    if count is None:
+        raise MeshError(f"a grid of {per_axis!r} points for each axis has no width; give 2 or more")
+    width = _width(width, 1)
+    if width * math.log2(count) > math.log2(LARGEST_GRID):
+        raise MeshError(f"a grid of {count} points for each of {width} axes is too large: use a random sampler")
+    axis = torch.linspace(0, 1, count, dtype=torch.float32, device="cpu")
     return torch.cartesian_prod(*[axis] * width).reshape(-1, width)
 
 
 def as_index(index: Tensor | Sequence[int]) -> Tensor:
     """Sample numbers as contiguous (B,) int64."""
-    numbers = index if isinstance(index, Tensor) else torch.as_tensor(list(index), dtype=torch.int64)
+    try:
+        numbers = index if isinstance(index, Tensor) else torch.as_tensor(list(index), dtype=torch.int64)
+    except (TypeError, ValueError, RuntimeError):
+        raise MeshError(f"sample numbers are {type(index).__name__}; give a list of whole numbers, or (B,)") from None
     if numbers.ndim != 1 or numbers.dtype.is_floating_point:
         raise MeshError(f"sample numbers have shape {tuple(numbers.shape)} and type {numbers.dtype}; (B,) whole needed")
     return numbers.to(torch.int64).contiguous()
 
 
 def _seed(seed: int) -> int:
-    return int(seed) & (2**64 - 1)
+    try:
+        return operator.index(seed) & (2**64 - 1)
+    except TypeError:
+        raise MeshError(f"the seed is {seed!r}; give a whole number") from None
+
+
+def _width(width: int, least: int) -> int:
+    """Numbers of a sample.
+
+    Raises:
+        MeshError: It is no whole number from `least` on.
+    """
+    found = whole(width, least)
+    if found is None:
+        raise MeshError(f"{width!r} numbers a sample were requested; give {least} or more")
+    return found
 
 
 @cache

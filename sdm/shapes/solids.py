@@ -9,6 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.given_values import real, two_numbers
 from sdm.errors import MeshError
 from sdm.kernels.shapes import solids
 from sdm.kernels.shapes.solids import CUBOID, CYLINDER, ELLIPSOID, RHOMBOID, SLOTS
@@ -38,10 +39,10 @@ class _Solids(Family):
     def __init__(
         self, slots: dict[int, dict[str, str]], ranges: dict[str, Parameter], kind: int, triangles: int, shift: float
     ) -> None:
-        if not FEWEST <= triangles <= MOST:
-            raise MeshError(f"a {self.name} of {triangles} triangles was requested; {FEWEST} to {MOST:,} are supported")
-        if not (math.isfinite(shift) and shift >= 0):
-            raise MeshError(f"the largest shift of a {self.name} is {shift}; give a length of at least 0")
+        if not FEWEST <= real(triangles) <= MOST:
+            raise MeshError(f"a {self.name} of {triangles!r} triangles was wanted; {FEWEST} to {MOST:,} are supported")
+        if not 0 <= real(shift) < math.inf:
+            raise MeshError(f"the largest shift of a {self.name} is {shift!r}; give a length of at least 0")
         ranges = dict(ranges)
         for name in ROTATION:
             ranges[name] = Parameter(name, 0.0, 1.0)
@@ -95,15 +96,15 @@ class _Solids(Family):
 
 
 def _lengths(sizes: tuple[float, float], *names: str) -> dict[str, Parameter]:
-    low, high = sizes
-    if not (0 < low < high and math.isfinite(high)):
-        raise MeshError(f"the half-lengths run from {low} to {high}; give two lengths, 0 < low < high")
+    low, high = two_numbers(sizes)
+    if not 0 < low < high < math.inf:
+        raise MeshError(f"the half-lengths {sizes!r} are no range; give two lengths, 0 < low < high")
     return {name: Parameter(name, low, high, "length") for name in names}
 
 
 def _shears(shear: float) -> dict[str, Parameter]:
-    if not (math.isfinite(shear) and shear > 0):
-        raise MeshError(f"the largest shear is {shear}; give a positive number")
+    if not 0 < real(shear) < math.inf:
+        raise MeshError(f"the largest shear is {shear!r}; give a positive number")
     return {name: Parameter(name, -shear, shear) for name in ("shear_xy", "shear_xz", "shear_yz")}
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import choose_device, require_memory
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign, SignMethod
@@ -229,10 +230,10 @@ def check_options(
     SignMethod(sign, hole_size)
     if not isinstance(seed, SupportsIndex):
         raise SDMError(f"the seed is {seed!r}; give a whole number")
-    if dtype not in DTYPES:
+    if not isinstance(dtype, torch.dtype) or dtype not in DTYPES:
         raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
-    if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
-        raise SDMError(f"the truncation {truncate} must be a positive distance")
+    if truncate is not None and not 0 < real(truncate) < math.inf:
+        raise SDMError(f"the truncation {truncate!r} must be a positive distance")
     as_sampler(sampler)
 
 

@@ -7,7 +7,6 @@ whose samples differ in mesh knows without asking a GPU which mesh each sample n
 from __future__ import annotations
 
 import hashlib
-import math
 from abc import ABC, abstractmethod
 from fractions import Fraction
 from typing import ClassVar
@@ -16,6 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.given_values import real, whole
+from sdm.core.mesh import as_tensor
 from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.shapes import Family, sampling
@@ -135,10 +136,11 @@ class TensorGrid(_Static):
     """
 
     def __init__(self, per_axis: int = 5, *, shuffle: bool = True) -> None:
-        if per_axis < 2:
-            raise SDMError(f"a grid of {per_axis} points for each axis has no width; give 2 or more")
+        count = whole(per_axis, 2)
+        if count is None:
+            raise SDMError(f"a grid of {per_axis!r} points for each axis has no width; give 2 or more")
         super().__init__(shuffle)
-        self.per_axis = per_axis
+        self.per_axis = count
 
     def size(self, family: Family) -> int:
         """Number of points of the grid."""
@@ -177,7 +179,7 @@ class Table(_Static):
 
     def __init__(self, theta: Tensor, *, shuffle: bool = True) -> None:
         super().__init__(shuffle)
-        self.rows = torch.as_tensor(theta, dtype=torch.float32, device="cpu").detach().contiguous()
+        self.rows = as_tensor(theta, torch.float32, "the rows of a table", device=torch.device("cpu")).detach()
         if self.rows.ndim != 2 or self.rows.shape[0] == 0:
             raise SDMError(f"the table has shape {tuple(self.rows.shape)}; (N, P) with N > 0 is needed")
 
@@ -212,8 +214,8 @@ class Mixture(Sampler):
 
     def __init__(self, static: Sampler | str = "grid:5", online: Sampler | str = "uniform", share: float = 0.5) -> None:
         self.static, self.online = as_sampler(static), as_sampler(online)
-        if not (math.isfinite(share) and 0 < share < 1):
-            raise SDMError(f"the share of static samples is {share}; give a number between 0 and 1")
+        if not 0 < real(share) < 1:
+            raise SDMError(f"the share of static samples is {share!r}; give a number between 0 and 1")
         self.share = Fraction(share).limit_denominator(FINEST_SHARE)
         if not 0 < self.share < 1:
             raise SDMError(f"the share of static samples is {share}; the least is {1 / FINEST_SHARE:g}")

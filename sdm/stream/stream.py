@@ -12,6 +12,7 @@ import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
 from sdm.core.as_grid import GridLike
+from sdm.core.given_values import whole
 from sdm.core.grid import Grid
 from sdm.engine.arguments import Sign
 from sdm.errors import SDMError
@@ -93,12 +94,15 @@ class SDMStream(IterableDataset[Batch]):
         stop: int | None = None,
     ) -> None:
         super().__init__()
-        if batch_size < 1 or batch_size % 1:
-            raise SDMError(f"the batch size is {batch_size}; give a whole number of at least 1")
-        if prefetch < 1:
-            raise SDMError(f"prefetch is {prefetch}; give at least 1 batch")
-        self.batch_size, self._prefetched = int(batch_size), int(prefetch)
-        self._start, self.stop = int(start), None if stop is None else int(stop)
+        size, ahead, first = whole(batch_size, 1), whole(prefetch, 1), whole(start, 0)
+        last = None if stop is None else whole(stop, 0)
+        if size is None:
+            raise SDMError(f"the batch size is {batch_size!r}; give a whole number of at least 1")
+        if ahead is None:
+            raise SDMError(f"prefetch is {prefetch!r}; give at least 1 batch")
+        if first is None or (stop is not None and last is None):
+            raise SDMError(f"the stream runs from sample {start!r} to {stop!r}; give whole numbers from 0 on")
+        self.batch_size, self._prefetched, self._start, self.stop = size, ahead, first, last
         self._find_rank = rank is None and world_size is None
         self._take_rank(rank, world_size)
         self._maker = Maker(
@@ -112,7 +116,7 @@ class SDMStream(IterableDataset[Batch]):
             sign=sign,
             hole_size=hole_size,
         )
-        self._position = int(start)
+        self._position = first
         # Whether the position is already that of this worker's own next batch.
         self._own = False
         self._process = os.getpid()

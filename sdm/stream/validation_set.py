@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import torch
 from torch.utils.data import Dataset
 
+from sdm.core.given_values import whole
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.errors import SDMError
@@ -47,9 +48,11 @@ class ValidationSet(Dataset[Batch]):
     """
 
     def __init__(self, maker: Maker, count: int) -> None:
-        if count < 1:
-            raise SDMError(f"a validation set of {count} samples was requested; give at least 1")
-        theta = held_out_samples(maker.family, count, derive_seed(maker.seed, "validation set"), maker.sampler)
+        if not isinstance(maker, Maker):
+            raise SDMError(f"an object of type {type(maker).__name__} makes no samples: give a Maker")
+        if (size := whole(count, 1)) is None:
+            raise SDMError(f"a validation set of {count!r} samples was requested; give at least 1")
+        theta = held_out_samples(maker.family, size, derive_seed(maker.seed, "validation set"), maker.sampler)
         own = Maker(
             maker.family,
             maker.grid,
@@ -60,7 +63,7 @@ class ValidationSet(Dataset[Batch]):
             sign=maker.signs.sign,
             hole_size=maker.signs.hole_size,
         )
-        made = [own.make(numbers) for numbers in torch.arange(count, device="cpu").split(own.at_once)]
+        made = [own.make(numbers) for numbers in torch.arange(size, device="cpu").split(own.at_once)]
         self.theta, self.sdm, self.index = (torch.cat(parts) for parts in zip(*made, strict=True))
         self.grid: Grid = maker.grid
         recipe = {key: own.recipe[key] for key in ("family", "fingerprint", "grid", "dtype", "truncate")}

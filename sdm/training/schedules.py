@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from sdm.core.given_values import real
 from sdm.errors import SDMError
 
 Schedule = Callable[[float], float]
@@ -34,12 +35,22 @@ def warmup_cosine(share: float, warmup: float = 0.02, floor: float = 0.005) -> f
 
 
 def constant(weight: float) -> Schedule:
-    """The same weight at every step."""
+    """The same weight at every step.
+
+    Raises:
+        SDMError: The weight is no number.
+    """
+    _check_numbers(weight)
     return lambda step: weight
 
 
 def linear(first: float, last: float, steps: float) -> Schedule:
-    """Weight from `first` at step 0 in a straight line to `last` at `steps`, and `last` from there on."""
+    """Weight from `first` at step 0 in a straight line to `last` at `steps`, and `last` from there on.
+
+    Raises:
+        SDMError: A weight that is no number, or steps that are not positive.
+    """
+    _check_numbers(first, last)
     _check(steps)
     return lambda step: first + (last - first) * min(max(step / steps, 0.0), 1.0)
 
@@ -53,6 +64,7 @@ def stepwise(first: float, change: float, every: float, last: float) -> Schedule
     Raises:
         SDMError: The weight never gets to `last`, or the steps are not positive.
     """
+    _check_numbers(first, change, last)
     _check(every)
     if change == 0 or (last - first) * change < 0:
         raise SDMError(f"a weight that begins at {first} and changes by {change} never gets to {last}")
@@ -61,11 +73,22 @@ def stepwise(first: float, change: float, every: float, last: float) -> Schedule
 
 
 def sigmoid_rampup(last: float, steps: float) -> Schedule:
-    """Weight last * exp(-5 (1 - t)^2), t = step / steps up to 1 (S. Laine, T. Aila, "Temporal ensembling", 2017)."""
+    """Weight last * exp(-5 (1 - t)^2), t = step / steps up to 1 (S. Laine, T. Aila, "Temporal ensembling", 2017).
+
+    Raises:
+        SDMError: A weight that is no number, or steps that are not positive.
+    """
+    _check_numbers(last)
     _check(steps)
     return lambda step: last * math.exp(-5.0 * (1.0 - min(max(step / steps, 0.0), 1.0)) ** 2)
 
 
 def _check(steps: float) -> None:
-    if not steps > 0:
-        raise SDMError(f"a schedule needs a positive number of steps, not {steps}")
+    if not real(steps) > 0:
+        raise SDMError(f"a schedule needs a positive number of steps, not {steps!r}")
+
+
+def _check_numbers(*weights: float) -> None:
+    for weight in weights:
+        if math.isnan(real(weight)):
+            raise SDMError(f"a weight of a schedule is {weight!r}; give a number")

@@ -10,6 +10,8 @@ import pytest
 import torch
 
 import sdm
+import sdm.compat.igl
+import sdm.compat.mesh_to_sdf
 from sdm.core.given_values import real, whole
 from sdm.errors import SDMError
 
@@ -28,6 +30,12 @@ MESHES = (*OBJECTS, *NO_MESHES)
 GRIDS = (*OBJECTS, None, "nonsense", float("nan"), -3, 0, [1, 2], ["a", "b", "c"], MESH)
 DEVICES = (*OBJECTS[:-2], 2.5, True, "nonsense", "cuda:99", MESH)
 CHOICES = (*OBJECTS, 3, "nonsense")
+SEEDS = (*OBJECTS, "nonsense", None, 1.5, float("nan"))
+WEIGHTS = (*OBJECTS, "nonsense", None, float("nan"))
+FAMILY = sdm.shapes.Ellipsoid.example()
+CUBE = np.ones((4, 4, 4))
+MASK = torch.ones(1, 1, 2, 2, 2)
+TENSORS = (*OBJECTS, None, 3, "nonsense", MESH, CUBE, torch.ones(2))
 POINT_SETS = (*OBJECTS, None, 3, "nonsense", [1, 2], ["a", "b", "c"], MESH)
 
 CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
@@ -89,7 +97,82 @@ CALLS: dict[str, tuple[Callable[[Any], Any], tuple[Any, ...]]] = {
     "save path": (lambda x: sdm.save(field(), x), PATHS),
     "save_mesh path": (lambda x: sdm.save_mesh(MESH, x), PATHS),
     "SDMDataset": (sdm.SDMDataset, PATHS),
+    "check_target": (sdm.io.check_target, PATHS),
+    "write_streamed index": (lambda x: sdm.io.write_streamed(x, GRID, "never.npz"), (*OBJECTS, None, MESH)),
+    "sample count": (lambda x: sdm.sampling.sample(MESH, x), (*NUMBERS, 0, 1.5)),
+    "sample first": (lambda x: sdm.sampling.sample(MESH, 2, first=x), (*NUMBERS, 1.5)),
+    "sample law": (lambda x: sdm.sampling.sample(MESH, 2, law=x), (*OBJECTS, None, "paper")),
+    "sample seed": (lambda x: sdm.sampling.sample(MESH, 2, seed=x), SEEDS),
+    "surface_points count": (lambda x: sdm.sampling.surface_points(MESH, x), (*NUMBERS, 1.5)),
+    "SampleLaw near": (lambda x: sdm.sampling.SampleLaw(near=x), NUMBERS),
+    "SampleLaw deviations": (lambda x: sdm.sampling.SampleLaw(deviations=x), (*OBJECTS, 0.1, ["a"], [-1.0])),
+    "SampleLaw box": (lambda x: sdm.sampling.SampleLaw(box=x), LENGTHS),
+    "SDMStream batch_size": (lambda x: sdm.SDMStream(FAMILY, GRID, x), NUMBERS),
+    "SDMStream seed": (lambda x: sdm.SDMStream(FAMILY, GRID, seed=x), SEEDS),
+    "SDMStream prefetch": (lambda x: sdm.SDMStream(FAMILY, GRID, prefetch=x), (*NUMBERS, 0)),
+    "SDMStream start": (lambda x: sdm.SDMStream(FAMILY, GRID, start=x), NUMBERS),
+    "SDMStream stop": (lambda x: sdm.SDMStream(FAMILY, GRID, stop=x), NUMBERS),
+    "SDMStream dtype": (lambda x: sdm.SDMStream(FAMILY, GRID, dtype=x), (*OBJECTS, "float32", torch.int32)),
+    "SDMStream truncate": (lambda x: sdm.SDMStream(FAMILY, GRID, truncate=x), (*LENGTHS, 0)),
+    "Mixture share": (lambda x: sdm.stream.Mixture(share=x), (*LENGTHS, 0, 1)),
+    "Table": (sdm.stream.Table, POINT_SETS),
+    "TensorGrid": (sdm.stream.TensorGrid, (*NUMBERS, 1)),
+    "ValidationSet maker": (lambda x: sdm.stream.ValidationSet(x, 2), (*OBJECTS, None, FAMILY)),
+    "ValidationSet count": (lambda x: sdm.stream.ValidationSet(sdm.stream.Maker(FAMILY, GRID), x), (*NUMBERS, 0)),
+    "generate count": (lambda x: sdm.dataset.generate(FAMILY, GRID, x, "never"), (*NUMBERS, 0)),
+    "generate shard": (lambda x: sdm.dataset.generate(FAMILY, GRID, 2, "never", shard=x), (*NUMBERS, 0)),
+    "generate path": (lambda x: sdm.dataset.generate(FAMILY, GRID, 2, x), PATHS),
+    "freeze stream": (lambda x: sdm.dataset.freeze(x, 2, "never"), (*OBJECTS, None, FAMILY)),
+    "Cuboid sizes": (lambda x: sdm.shapes.Cuboid(sizes=x), (*OBJECTS, 1, [2, 1], ["a", "b"])),
+    "Cuboid triangles": (lambda x: sdm.shapes.Cuboid(triangles=x), NUMBERS),
+    "Cuboid shift": (lambda x: sdm.shapes.Cuboid(shift=x), LENGTHS),
+    "Rhomboid shear": (lambda x: sdm.shapes.Rhomboid(shear=x), LENGTHS),
+    "Cochlea triangles": (sdm.shapes.Cochlea, NUMBERS),
+    "Cochlea design": (lambda x: sdm.shapes.Cochlea(600, design=x), OBJECTS),
+    "Parameter": (lambda x: sdm.shapes.Parameter("a", x, 1.0), (*OBJECTS, "nonsense", None, float("nan"), 2.0)),
+    "MeshFolder source": (sdm.shapes.MeshFolder, (*OBJECTS, None, 3, "nonsense", GRID)),
+    "MeshFolder scale": (lambda x: sdm.shapes.MeshFolder([MESH], scale=x), (*OBJECTS, None, 1, [2, 1], [1, 2, 3])),
+    "MeshFolder warp": (lambda x: sdm.shapes.MeshFolder([MESH], warp=x), LENGTHS),
+    "MeshFolder rotation": (lambda x: sdm.shapes.MeshFolder([MESH], rotation=x), LENGTHS),
+    "StatisticalShape mean": (lambda x: shape_model(mean=x), POINT_SETS),
+    "StatisticalShape faces": (lambda x: shape_model(faces=x), (*POINT_SETS, POINTS)),
+    "StatisticalShape limit": (lambda x: shape_model(limit=x), LENGTHS),
+    "shapes.grid per_axis": (lambda x: sdm.shapes.grid(x, 2), (*NUMBERS, 1)),
+    "shapes.grid width": (lambda x: sdm.shapes.grid(2, x), (*NUMBERS, 0, 10**6)),
+    "shapes.uniform seed": (lambda x: sdm.shapes.uniform(x, [0], 2), SEEDS),
+    "shapes.uniform index": (lambda x: sdm.shapes.uniform(0, x, 2), (1j, None, 3, "nonsense", [[1, 2]])),
+    "shapes.sobol width": (lambda x: sdm.shapes.sobol(0, [0], x), NUMBERS),
+    "Family.sample count": (FAMILY.sample, NUMBERS),
+    "Family.sample_at sampler": (lambda x: FAMILY.sample_at([0], sampler=x), CHOICES),
+    "family_record": (sdm.shapes.family_record, (*OBJECTS, None, "cochlea")),
+    "make_family": (sdm.shapes.make_family, (*OBJECTS, None, "nonsense")),
+    "dice": (lambda x: sdm.metrics.dice(x, np.ones((2, 2, 2))), (*OBJECTS, None, 3, "nonsense", MESH)),
+    "contour_dice width": (lambda x: sdm.metrics.contour_dice(CUBE, CUBE, x), (*NUMBERS, 4)),
+    "hausdorff_distance percentile": (lambda x: sdm.metrics.hausdorff_distance(CUBE, CUBE, 1.0, x), (*LENGTHS, 101)),
+    "surface_voxels": (sdm.metrics.surface_voxels, (*OBJECTS, None, CUBE, torch.ones(2, 2))),
+    "dice_loss": (lambda x: sdm.losses.dice_loss(x, MASK), TENSORS),
+    "dice_loss smooth": (lambda x: sdm.losses.dice_loss(MASK, MASK, smooth=x), WEIGHTS),
+    "boundary_loss": (lambda x: sdm.losses.boundary_loss(x, MASK), TENSORS),
+    "hausdorff_distance_loss": (lambda x: sdm.losses.hausdorff_distance_loss(MASK, x), TENSORS),
+    "hausdorff_distance_loss power": (lambda x: sdm.losses.hausdorff_distance_loss(MASK, MASK, power=x), WEIGHTS),
+    "clamped_l1_loss delta": (lambda x: sdm.losses.clamped_l1_loss(MASK, MASK, delta=x), (*NUMBERS, 0)),
+    "cross_entropy_loss": (lambda x: sdm.losses.cross_entropy_loss(x, MASK), TENSORS),
+    "clipped_sdf": (sdm.losses.clipped_sdf, TENSORS[:-1]),
+    "clipped_sdf limit": (lambda x: sdm.losses.clipped_sdf(MASK, x), (*NUMBERS, 0)),
+    "class_maps": (sdm.losses.class_maps, TENSORS),
+    "probability_from_sdf steepness": (lambda x: sdm.losses.probability_from_sdf(MASK, x), WEIGHTS),
+    "constant": (sdm.losses.constant, WEIGHTS),
+    "linear": (lambda x: sdm.losses.linear(0.0, x, 5), WEIGHTS),
+    "stepwise": (lambda x: sdm.losses.stepwise(1.0, x, 5, 0.0), WEIGHTS),
+    "sigmoid_rampup": (lambda x: sdm.losses.sigmoid_rampup(1.0, x), (*NUMBERS, 0)),
+    "compat.igl points": (lambda x: sdm.compat.igl.signed_distance(x, MESH.vertices, MESH.faces), POINT_SETS),
+    "compat.mesh_to_sdf voxels": (lambda x: sdm.compat.mesh_to_sdf.mesh_to_voxels(MESH, x), (*NUMBERS, 0)),
 }
+
+
+def shape_model(**other: Any) -> sdm.shapes.StatisticalShape:
+    given: dict[str, Any] = {"mean": MESH.vertices, "modes": np.ones((1, 4, 3)), "deviations": [1.0]}
+    return sdm.shapes.StatisticalShape(**{**given, "faces": MESH.faces, **other})
 
 
 def field() -> sdm.SDM:

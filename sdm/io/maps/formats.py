@@ -11,6 +11,7 @@ from types import ModuleType
 import torch
 
 from sdm.core.device import free_memory, gibibytes, require_memory
+from sdm.core.given_values import as_path
 from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
 from sdm.io.files.atomic import try_to_write
@@ -98,15 +99,16 @@ def _named(path: Path, formats: dict[str, Format]) -> Format | None:
     return None
 
 
-def check_target(path: Path) -> Format:
+def check_target(path: str | Path) -> Format:
     """The format of a file to write, if it can be written there.
 
     Raises:
         FormatError: The ending is not known, the folder is not there or cannot be written, or something of another
             kind has that name.
     """
-    found = check_target_name(path)
-    try_to_write(path)
+    target = as_path(path)
+    found = check_target_name(target)
+    try_to_write(target)
     return found
 
 

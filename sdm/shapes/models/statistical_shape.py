@@ -9,7 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sdm.core.given_values import as_path
+from sdm.core.given_values import as_path, real
+from sdm.core.mesh import as_tensor
 from sdm.errors import MeshError
 from sdm.shapes.cube_sphere import cube_surface, unit_sphere
 from sdm.shapes.family import Family, Parameter, as_theta
@@ -54,7 +55,7 @@ class StatisticalShape(Family):
         mean, modes, deviations = (
             _floats(x, n) for x, n in ((mean, "mean"), (modes, "modes"), (deviations, "deviations"))
         )
-        faces = torch.as_tensor(faces, device="cpu").to(torch.int32)
+        faces = as_tensor(faces, torch.int32, "the faces of a shape model", device=torch.device("cpu"))
         if mean.ndim != 2 or mean.shape[1] != 3 or modes.shape[1:] != mean.shape or deviations.shape != modes.shape[:1]:
             raise MeshError(
                 f"a shape model has a mean (V, 3), modes (M, V, 3) and deviations (M,), not {tuple(mean.shape)}, "
@@ -64,9 +65,10 @@ class StatisticalShape(Family):
             raise MeshError(f"a shape model of {len(modes)} modes was requested; 1 to {MOST_MODES} are supported")
         if bool((deviations < 0).any()):
             raise MeshError("a standard deviation of a shape model is negative")
-        if not (math.isfinite(limit) and limit > 0):
-            raise MeshError(f"the limit of a shape model is {limit}; give a number of deviations above 0")
-        if faces.ndim != 2 or faces.shape[1] != 3 or not 0 <= int(faces.min()) <= int(faces.max()) < len(mean):
+        if not 0 < real(limit) < math.inf:
+            raise MeshError(f"the limit of a shape model is {limit!r}; give a number of deviations above 0")
+        are_rows = faces.ndim == 2 and faces.shape[1] == 3 and len(faces) > 0
+        if not (are_rows and 0 <= int(faces.min()) <= int(faces.max()) < len(mean)):
             raise MeshError(f"the faces of a shape model are (F, 3) numbers of its {len(mean)} vertices")
         self.parameters = tuple(Parameter(f"mode{k + 1}", -float(limit), float(limit), "sd") for k in range(len(modes)))
         self.triangles = faces
@@ -154,7 +156,7 @@ class StatisticalShape(Family):
 
 
 def _floats(values: Any, name: str) -> Tensor:
-    tensor = torch.as_tensor(values, device="cpu").detach().to(torch.float32).contiguous()
+    tensor = as_tensor(values, torch.float32, f"the {name} of a shape model", device=torch.device("cpu")).detach()
     if not bool(tensor.isfinite().all()):
         raise MeshError(f"the {name} of a shape model holds a number that is not finite")
     return tensor
