@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -35,7 +35,7 @@ def encode(
 
     Args:
         shapes: Closed meshes, turned if they are inside out; with --scan, points: .npy of (N,3), or (N,6) with outward
-            normals, or a mesh file whose vertices are the points.
+            normals, a point cloud (.ply, .xyz), or a mesh file, whose vertices are the points.
         model: What sdm train deepsdf wrote, or cochlea: the one that comes with the package.
         out: File to write, ending in .npz; or for several shapes a folder.
         scan: The shapes are points of surfaces, perhaps of a part: find whole shapes that go through them.
@@ -46,6 +46,7 @@ def encode(
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.output_files import targets_in
+    from sdm.cli.fits.points_file import points_of
     from sdm.deepsdf import DeepSDF, encode_meshes, encode_scan, save_code
     from sdm.deepsdf.samples import UnitSphere
     from sdm.errors import FormatError, SDMError
@@ -54,6 +55,9 @@ def encode(
 
     if not shapes:
         raise SDMError("say which shapes to encode: one or more files")
+    for shape in shapes:
+        if shape.is_dir():
+            raise FormatError(f"{shape} is a folder; name its files, as {shape}/*.ply does")
     if len(shapes) == 1 and out.suffix != ".npz":
         raise FormatError(f"{out} does not end like a code: use .npz")
     if len(shapes) > 1 and out.suffix:
@@ -64,7 +68,7 @@ def encode(
     refuse_inputs(targets, [*sources, model])
     given = None if sphere is None else UnitSphere(sphere[:3], sphere[3])
     found = DeepSDF.load(model, device)
-    scans = [_points(path) for path in sources] if scan else []
+    scans = [points_of(path) for path in sources] if scan else []
     meshes = [] if scan else [load_mesh(path) for path in sources]
     if len(shapes) > 1:
         out.mkdir(parents=True, exist_ok=True)
@@ -79,23 +83,3 @@ def encode(
     for target, code in zip(targets, codes, strict=True):
         save_code(code, target)
         print_line(f"{target}: {found.code_size} numbers, sphere of radius {code.sphere.radius:.4g}")
-
-
-def _points(path: Path) -> tuple[Any, Any]:
-    """Points (N,3) and their normals (N,3) or None."""
-    import numpy as np
-
-    from sdm.errors import FormatError
-    from sdm.io import load_mesh
-
-    if path.suffix != ".npy":
-        return load_mesh(path).vertices, None
-    try:
-        points = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise FormatError(f"{path} is not there") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise FormatError(f"{path} is no .npy file of numbers") from error
-    if points.ndim != 2 or points.shape[1] not in (3, 6):
-        raise FormatError(f"{path} holds an array of shape {points.shape}; (N, 3), or (N, 6) with normals, is needed")
-    return points[:, :3], points[:, 3:] if points.shape[1] == 6 else None

@@ -64,7 +64,8 @@ def fit(
         image: A NIfTI or NRRD image, in Hounsfield units or any other.
         family: cochlea, ..., FILE.py:NAME of yours (the file is run), a shape model, MODEL.npz, or a DeepSDF, MODEL.pt,
             whose size and code are fitted.
-        points: Fit points of the surface instead: a mesh file's vertices, or .npy (N,3), in the family's unit.
+        points: Fit points of the surface instead: a point cloud (.ply, .xyz), a mesh file's vertices, or .npy
+            (N,3), in the family's unit.
         out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
         mesh: Also write the fitted surface here, as .ply, .stl, .obj, .glb or what else sdm.save_mesh writes, in the
             image's coordinates.

@@ -14,7 +14,8 @@ from sdm.deepsdf.infer.estimate_codes import check_steps, estimate_codes
 from sdm.deepsdf.infer.scan import Scan
 from sdm.deepsdf.networks.model import DeepSDF
 from sdm.deepsdf.samples import Samples, ShapeSet, UnitSphere
-from sdm.errors import SDMError
+from sdm.deepsdf.samples.usable_shapes import why_unusable
+from sdm.errors import MeshError, SDMError
 
 # Samples of a step, as published.
 POINTS = 8000
@@ -46,7 +47,14 @@ def encode_meshes(
         SDMError: No steps.
     """
     check_steps(steps)
-    shapes = ShapeSet([as_mesh(mesh) for mesh in meshes], model.device, spheres=spheres)
+    found = [as_mesh(mesh) for mesh in meshes]
+    for mesh in found:
+        if (why := why_unusable(mesh)) is not None:
+            raise MeshError(
+                f"{mesh.name} cannot be encoded: {why}; sdm watertight closes it, and encode_scan (--scan) takes its "
+                "vertices alone"
+            )
+    shapes = ShapeSet(found, model.device, spheres=spheres)
     every = torch.arange(len(shapes), device=model.device)
 
     # Other samples than a training of the same seed has had.
@@ -55,8 +63,8 @@ def encode_meshes(
     def draw(step: int) -> Samples:
         return shapes.sample(every, points, seed=own, step=step)
 
-    found = estimate_codes(model, draw, steps=steps, **options)
-    return [ShapeCode(code, sphere) for code, sphere in zip(found.codes, shapes.spheres, strict=True)]
+    codes = estimate_codes(model, draw, steps=steps, **options).codes
+    return [ShapeCode(code, sphere) for code, sphere in zip(codes, shapes.spheres, strict=True)]
 
 
 def encode_scan(

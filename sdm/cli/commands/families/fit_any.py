@@ -123,13 +123,14 @@ def fit_family_points(
 
     from sdm.cli.common.progress import StageProgress
     from sdm.cli.fits.fit_report import NOT_CONVERGED, print_points
+    from sdm.cli.fits.points_file import points_of
     from sdm.errors import SDMError
     from sdm.fit.solve.fit_points import fit_points
     from sdm.io.files.json_file import write_json
     from sdm.io.meshes.write import save_mesh
     from sdm.viz.fit_figure import surface_at
 
-    found = points_of(points)
+    found, _ = points_of(points)
     if is_network(name):
         from sdm.cli.commands.families.fit_network import fit_network_points
 
@@ -154,44 +155,6 @@ def fit_family_points(
     if mesh is not None:
         save_mesh(surface_at(backend, state), mesh)
     print_points(record, state, len(found), fit.mean_distance, fitted.unit)
-
-
-def points_of(path: Path) -> Any:
-    """Points (N,3) of a mesh's vertices, a point cloud or a .npy file.
-
-    Raises:
-        SDMError: It cannot be read, or holds no points.
-    """
-    import numpy as np
-
-    from sdm.errors import FormatError, MeshError
-    from sdm.io import load_mesh
-
-    if path.is_dir():
-        raise FormatError(f"{path} is a folder; give a file of points")
-    if not path.is_file():
-        raise FormatError(f"{path} cannot be read: no such file")
-    if path.suffix.lower() == ".npy":
-        try:
-            points = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise FormatError(f"{path} is no .npy file of numbers") from error
-        if points.ndim != 2 or points.shape[1] not in (3, 6) or points.dtype.kind not in "fiu":
-            raise FormatError(f"{path} holds {points.dtype} of shape {points.shape}; (N, 3) numbers are needed")
-        return points[:, :3]
-    try:
-        return load_mesh(path).vertices
-    except MeshError as error:
-        # A scan has points and no triangles.
-        if "no triangles" not in str(error):
-            raise
-    import trimesh
-
-    try:
-        cloud = trimesh.load(path, process=False)
-        return np.asarray(cloud.vertices, dtype=np.float64)  # pyright: ignore[reportAttributeAccessIssue]
-    except Exception as error:
-        raise FormatError(f"{path} cannot be read as points: {type(error).__name__}") from error
 
 
 def _unit(family: Any) -> str:

@@ -13,6 +13,7 @@ import trimesh
 
 import sdm
 from sdm.cli.app import main
+from sdm.deepsdf import load_code
 from sdm.deepsdf.infer import preconditioner
 
 
@@ -69,6 +70,17 @@ def test_several_shapes_and_a_scan(work: Path, tmp_path: Path) -> None:
     assert main([*words, "-o", str(tmp_path / "scan.npz"), "--steps", "3"]) == 0
 
 
+def test_a_point_cloud_is_a_scan_like_the_array_of_its_points(work: Path, tmp_path: Path) -> None:
+    points = trimesh.load_mesh(work / "new.ply").vertices.astype(np.float32)
+    np.save(tmp_path / "scan.npy", points)
+    trimesh.PointCloud(points).export(tmp_path / "scan.ply")
+    for name in ("scan.npy", "scan.ply"):
+        words = ["encode", str(tmp_path / name), "--scan", "-m", str(work / "model" / "model.pt"), "--steps", "3"]
+        assert main([*words, "--device", "cpu", "-o", str(tmp_path / f"{name}.npz")]) == 0
+    codes = [load_code(tmp_path / f"scan.{ending}.npz") for ending in ("npy", "ply")]
+    assert torch.equal(codes[0].code, codes[1].code)
+
+
 def test_shapes_of_one_name_lose_no_code(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, out, ball = str(work / "model" / "model.pt"), tmp_path / "codes", work / "meshes" / "0.ply"
     (tmp_path / "0.ply").write_bytes(ball.read_bytes())
@@ -94,6 +106,8 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
     [
         (["encode", "{new}", "-m", "{none}", "-o", "x.npz"], "is not there; train a model first"),
         (["encode", "{new}", "-m", "{model}", "-o", "x.ply"], "does not end like a code: use .npz"),
+        (["encode", "{folder}", "-m", "{model}", "-o", "x"], "meshes is a folder; name its files"),
+        (["encode", "{open}", "-m", "{model}", "-o", "x.npz"], "open.ply cannot be encoded: it is not closed (3 edges"),
         (["encode", "{new}", "{new}", "-m", "{model}", "-o", "x.npz"], "is one file, but 2 shapes were given"),
         (["encode", "{few}", "--scan", "-m", "{model}", "-o", "x.npz"], "has 50 points; at least 100 are needed"),
         (["encode", "{nan}", "--scan", "-m", "{model}", "-o", "x.npz"], "1 of the points are not finite"),
@@ -131,7 +145,9 @@ def test_bad_input_is_one_sentence_and_code_2(
     save_code(ShapeCode(torch.zeros(3), UnitSphere((0.0, 0.0, 0.0), 1.0)), tmp_path / "short.npz")
     places = {name: str(tmp_path / f"{name}.npy") for name in ("few", "nan", "wide")}
     places |= {"new": str(work / "new.ply"), "model": str(work / "model"), "none": str(tmp_path / "none.pt")}
-    places |= {"short": str(tmp_path / "short.npz")}
+    ball = trimesh.load_mesh(work / "new.ply")
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "open.ply")
+    places |= {"short": str(tmp_path / "short.npz"), "open": str(tmp_path / "open.ply"), "folder": str(work / "meshes")}
     filled = [word.format(**places) for word in words]
     filled[filled.index("-o") + 1] = str(tmp_path / filled[filled.index("-o") + 1])
     assert main(filled) == 2
