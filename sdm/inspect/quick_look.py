@@ -13,6 +13,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.inspect.orientation import outward_turns
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.report import inspect_mesh
+from sdm.inspect.rounding import lost_digits
 
 # A volume below this share of what the area could enclose is none.
 LEAST_VOLUME = 1e-9
@@ -34,6 +35,7 @@ class MeshLook:
         self._closed: bool | None = None
         self._by_one_look: bool | None = None
         self._problems: list[str] | None = None
+        self._lost_digits: list[str] | None = None
         # Of the faces alone: whoever keeps a mesh keeps its vertices, and so this.
         self._outward: list[Tensor] | None = None
 
@@ -76,6 +78,12 @@ class MeshLook:
         if self._problems is None:
             self._problems = [] if self.is_plain(mesh) else inspect_mesh(mesh).sign_problems
         return self._problems
+
+    def lost_digits(self, mesh: TriangleMesh) -> list[str]:
+        """Sentences about what float32 does not hold of the mesh."""
+        if self._lost_digits is None:
+            self._lost_digits = lost_digits(mesh)
+        return self._lost_digits
 
     def outward_faces(self, mesh: TriangleMesh) -> Tensor | None:
         """The faces (F,3) of `orient_outward`; None if they are the mesh's own."""

@@ -18,6 +18,7 @@ from sdm.inspect.orientation import inside_out, to_turn
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.problems import problems_of, sign_problems
 from sdm.inspect.recommendation import recommended_sign
+from sdm.inspect.rounding import lost_digits
 
 
 @dataclass(frozen=True)
@@ -162,4 +163,4 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         facts["turned_area"] = float(area[agreeing_turns(merged, area)[0]].sum() / (area.sum() or 1.0))
     facts["shut_area"] = float(components.area[components.nearly_closed].sum() / (facts["area"] or 1.0))
     facts["recommended_sign"], facts["recommendation"] = recommended_sign(facts)
-    return MeshReport(**facts, problems=problems_of(facts, unjudged))
+    return MeshReport(**facts, problems=[*problems_of(facts, unjudged), *lost_digits(mesh)])

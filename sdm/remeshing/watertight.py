@@ -14,6 +14,7 @@ from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
+from sdm.engine.checks.digits_check import look_at_digits
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.surface import Method, check_method
 from sdm.errors import GridError, MeshError, SDMError
@@ -112,6 +113,7 @@ def watertight(
     mesh = as_mesh(mesh)
     check_options(resolution, offset, hole_size, hidden, method)
     where = choose_device(device, mesh.vertices)
+    look_at_digits(mesh)
     closed, agreeing = closedness(mesh)
     sign = _sign(closed and agreeing, hidden)
     if sign == "winding":

@@ -15,6 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normal, Normalization
 from sdm.core.random import derive_seed
 from sdm.engine.arguments import Orient, Sign, SignMethod, oriented
+from sdm.engine.checks.digits_check import look_at_digits
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.sampling.flood_sign import flood_signs
@@ -105,6 +106,7 @@ def sample(
     where = choose_device(device, found.vertices)
     require_room(count, where)
     by = None if normalize is None else Normalization.of(found, normalize)
+    look_at_digits(found)
     measured = oriented(found if by is None else by.normalised(found), orient, where).to(where)
     index = MeshIndex(measured, where, warn=False)
     numbers = torch.arange(first, end, dtype=torch.int64, device=where)

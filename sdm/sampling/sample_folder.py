@@ -15,6 +15,7 @@ from torch import Tensor
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normalization
 from sdm.engine.arguments import oriented
+from sdm.engine.checks.digits_check import look_at_digits
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.inspect.quick_look import look_at
@@ -172,6 +173,7 @@ class FolderSampling:
             return self._there(task)
         start = time.perf_counter()
         mesh = load_mesh(task.source)
+        look_at_digits(mesh, str(task.source))
         by = None if self._recipe.normalize is None else Normalization.of(mesh, self._recipe.normalize)
         mesh = mesh if by is None else by.normalised(mesh)
         mesh = oriented(mesh, self._recipe.orient, self._device)

@@ -15,6 +15,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.checks.caller_warning import named, state, warn
+from sdm.engine.checks.digits_check import look_at_digits
 from sdm.inspect.placement import misses, placement_problems, points_problems
 from sdm.inspect.quick_look import look_at
 from sdm.runtime.host_copy import HostCopy
@@ -147,7 +148,7 @@ class SlabsCheck:
 
 
 def look_at_points(mesh: TriangleMesh, points: Any, found: Any, sign: str) -> bool:
-    """Warn if no point is inside, by axes or unit or as the mesh is inside out; of values on a CPU.
+    """Warn if float32 rounds the mesh, or no point is inside, by axes or unit or as it is inside out; on a CPU.
 
     Args:
         mesh: The mesh as it was measured.
@@ -161,7 +162,11 @@ def look_at_points(mesh: TriangleMesh, points: Any, found: Any, sign: str) -> bo
     values: Tensor = found if isinstance(found, Tensor) else found[0]
     if sign == "none" or values.is_cuda or state.are_off or values.numel() < FEWEST_POINTS:
         return False
-    if not is_eager(mesh.vertices, values) or not float(values.amin()) >= 0:
+    if not is_eager(mesh.vertices, values):
+        return False
+    if look_at_digits(mesh):
+        return True
+    if not float(values.amin()) >= 0:
         return False
     at = torch.as_tensor(points, device=values.device).detach().reshape(-1, 3)
     begin, end = (corner.double().numpy() for corner in (at.amin(0), at.amax(0)))

@@ -1,4 +1,4 @@
-"""Archives of mesh files: .zip, .tar.gz, .tar.bz2 and a single file as .bz2."""
+"""Archives of mesh files: .zip, .tar.gz, .tar.bz2 and a single file as .gz or .bz2."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ def unpacked(path: Path, ending: str) -> Iterator[Path]:
         elif ending.startswith("tar"):
             _unpack_tar(path, folder, budget)
         else:
-            with bz2.open(path) as file:
-                budget.copy(file, folder / path.name[: -len(".bz2")])
+            opened = gzip.open if ending == "gz" else bz2.open
+            with opened(path) as file:
+                budget.copy(file, folder / path.name[: -len(f".{ending}")])
         yield folder
 
 

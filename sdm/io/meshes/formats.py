@@ -34,7 +34,9 @@ READERS: dict[str, Callable[[bytes, Path], PolygonMesh]] = {
 # Formats that trimesh reads, with the module that each needs; all of those are in the extra `formats`.
 TRIMESH = {"glb": "", "gltf": "", "dae": "collada", "zae": "collada", "3mf": "lxml", "3dxml": "lxml", "xaml": "lxml"}
 # Archives of meshes, unpacked first.
-ARCHIVES = ("zip", "tar.gz", "tar.bz2", "bz2")
+ARCHIVES = ("zip", "tar.gz", "tar.bz2", "bz2", "gz")
+# Those of a single file, whose own ending comes before: model.ply.gz.
+PACKERS = ("gz", "bz2")
 # Drawings and points: they have no triangles, but trimesh says so more kindly than we could.
 DRAWINGS = ("dxf", "xyz")
 # The endings that messages name first.
@@ -46,9 +48,14 @@ def known_endings() -> list[str]:
     return [*USUAL, *sorted({*READERS, *TRIMESH, *ARCHIVES} - {*USUAL})]
 
 
-def mesh_endings() -> tuple[str, ...]:
-    """The endings, with their dots, of the files that are taken for meshes in a folder."""
-    return tuple(f".{ending}" for ending in (*READERS, *TRIMESH) if _is_installed(ending))
+def mesh_endings(packed: bool = True) -> tuple[str, ...]:
+    """The endings, with their dots, of the files that are taken for meshes in a folder.
+
+    Args:
+        packed: Also those of single files that are compressed, such as `.ply.gz`.
+    """
+    plain = tuple(f".{ending}" for ending in (*READERS, *TRIMESH) if _is_installed(ending))
+    return (*plain, *(f"{ending}.{packer}" for ending in plain for packer in PACKERS)) if packed else plain
 
 
 def ending_of(path: Path) -> str:
@@ -61,6 +68,8 @@ def ending_of(path: Path) -> str:
     # The longer one of .bz2 and .tar.bz2.
     fitting = [ending for ending in (*known_endings(), *DRAWINGS) if name.endswith(f".{ending}")]
     found = max(fitting, key=len, default=None) or _of_plugins(name)
+    if found == "gz" and not name.endswith(mesh_endings()):
+        found = None
     if found is None:
         if is_map_name(path):
             raise MeshError(

@@ -24,7 +24,7 @@ from sdm.io.meshes.scene import read_scene
 def load_mesh(path: str | Path) -> TriangleMesh:
     """Read a triangle mesh: STL, PLY, OBJ, OFF, GLB, glTF, VTK's `.vtk` and `.vtp`, GIfTI and FreeSurfer's surfaces.
 
-    With the extra `formats` also COLLADA, 3MF, 3DXML and XAML.
+    With the extra `formats` also COLLADA, 3MF, 3DXML and XAML; each compressed too, as `.ply.gz`, and archives of them.
 
     Args:
         path: The file, or its address, such as `s3://bucket/mesh.ply` (extra `remote`).
@@ -73,6 +73,8 @@ def _check_file(path: Path) -> None:
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError) as error:
+        if path.is_symlink():
+            raise MeshError(f"{path} is a link to {path.readlink()}, which is not there") from error
         raise MeshError(f"there is no mesh file {path}") from error
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {error.strerror or error}") from error
@@ -124,7 +126,7 @@ def _read_archive(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
     all_vertices, all_faces = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     count = 0
     with unpacked(path, ending) as folder:
-        endings = mesh_endings()
+        endings = mesh_endings(packed=False)
         for file in sorted(file for file in folder.rglob("*") if file.is_file()):
             if not file.name.lower().endswith(endings):
                 continue

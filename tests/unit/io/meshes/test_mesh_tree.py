@@ -31,7 +31,7 @@ def test_links_that_lead_nowhere_are_told_of(folder, tmp_path, capsys):
     words = ["compute", str(folder), "-o", str(tmp_path / "out"), "--resolution", "6", "--format", "npz"]
     assert main([*words, "--device", "cpu"]) == 2
     said = capsys.readouterr().err.splitlines()
-    assert said[-3] == f"sdm: there is no mesh file {folder / 'gone.ply'}"
+    assert said[-3] == f"sdm: {folder / 'gone.ply'} is a link to nowhere.ply, which is not there"
     assert said[-2].startswith(f"sdm: {folder / 'loop.ply'} cannot be read: Too many levels of symbolic links")
     assert said[-1] == "sdm: 2 of 4 meshes failed; the others are done"
 
