@@ -19,6 +19,12 @@ from sdm.remeshing.watertight import closedness
 from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold
 
 
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    """For distances of two surfaces: still several for each of their triangles."""
+    monkeypatch.setattr(sys.modules["sdm.remeshing.watertight"], "SAMPLES", 20_000)
+
+
 @cache
 def ball() -> tuple[np.ndarray, np.ndarray]:
     grid = sdm.Grid((-1.2,) * 3, (0.2,) * 3, (13,) * 3)

@@ -12,6 +12,7 @@ from sdm.bench.deepsdf.shapes import Shapes
 from sdm.bench.shapes import atria
 from sdm.core.mesh import TriangleMesh
 from sdm.shapes import Ellipsoid, load_family
+from sdm.shapes.models import lay_template
 from sdm.shapes.models.lay_template import TemplateLayer
 
 
@@ -22,6 +23,7 @@ def shapes(monkeypatch):
     meshes = [TriangleMesh(v, family.faces, f"e{n}", check=False) for n, v in enumerate(family.vertices(theta))]
     monkeypatch.setattr(atria, "atria", lambda source, cache: Shapes(meshes, []))
     monkeypatch.setattr(atria, "TemplateLayer", partial(TemplateLayer, turns=1))
+    monkeypatch.setattr(lay_template, "SAMPLES", 200)
     monkeypatch.setattr(atria, "read_record", lambda: {"names": [], "distances_mm": []})
 
 

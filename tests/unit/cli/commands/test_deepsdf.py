@@ -31,7 +31,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ball.apply_translation((10, 0, 0))
     ball.export(folder / "new.ply")
     words = ["train", "deepsdf", str(folder / "meshes"), "--out", str(folder / "model")]
-    words += ["--epochs", "150", "--points", "256", "--width", "32", "--device", "cpu"]
+    words += ["--epochs", "100", "--points", "256", "--width", "32", "--device", "cpu"]
     assert main(words) == 0
     return folder
 

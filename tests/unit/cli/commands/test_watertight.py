@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +14,12 @@ from sdm.cli.surfaces import closing, closing_job, closing_stages, journal
 from sdm.core.mesh import TriangleMesh
 from tests.helpers.closed_surface import assert_edges_cancel
 from tests.helpers.processes.killed_command import killed_after
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    """For distances of two surfaces, which take nearly all of the time otherwise."""
+    monkeypatch.setattr(sys.modules["sdm.remeshing.watertight"], "SAMPLES", 1000)
 
 
 @pytest.fixture

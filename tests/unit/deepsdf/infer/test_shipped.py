@@ -34,7 +34,7 @@ def test_a_mesh_there_and_back(cochlea: sdm.TriangleMesh, tmp_path: Path) -> Non
 
 
 def test_the_other_half_follows(cochlea: sdm.TriangleMesh) -> None:
-    points, normals = surface_points(cochlea, 2_000, seed=1)
+    points, normals = surface_points(cochlea, 1_000, seed=1)
     seen = half_of(points, torch.tensor([0.0, 1.0, 0.0]))
     model = DeepSDF.load("cochlea", "cpu")
     found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=60)

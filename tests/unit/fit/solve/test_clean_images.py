@@ -20,7 +20,7 @@ def backend() -> ExactBackend:
     return ExactBackend(Cochlea(2_000), "cpu")
 
 
-@pytest.mark.parametrize(("noise", "blur", "tolerance"), [(0.0, 0.2, 0.01), (1.0, 0.2, 0.01), (20.0, 0.3, 0.1)])
+@pytest.mark.parametrize(("noise", "blur", "tolerance"), [(0.0, 0.2, 0.01), (20.0, 0.3, 0.1)])
 def test_good_images_have_an_answer(backend: ExactBackend, noise: float, blur: float, tolerance: float):
     truth = random_state(backend, 0, edge=0.1)
     finer = ExactBackend(Cochlea(8_000), "cpu")
