@@ -30,7 +30,17 @@ def keep(folder: Path, *names: str, **changes) -> Path:
     folder.mkdir(exist_ok=True)
     for name in names:
         method, seed = name.rsplit("-", 1)
-        own = Settings(**{"method": method, "seed": int(seed), "patch": CUBE, "mirrors": "", "filters": 2, **changes})
+        own = Settings(
+            **{
+                "method": method,
+                "seed": int(seed),
+                "patch": CUBE,
+                "mirrors": "",
+                "filters": 2,
+                "architecture": "unet",
+                **changes,
+            }
+        )
         with torch.random.fork_rng():
             torch.manual_seed(own.seed)
             model = own.network().eval()
@@ -66,8 +76,10 @@ def mix(data, tmp_path, monkeypatch, capsys):
 
 
 def test_fine_and_coarse_networks_together(mix, data, tmp_path):
-    fine = keep(tmp_path / "fine", "baseline-0", "baseline-1", "head-sdf-l1-0")
-    coarse = keep(tmp_path / "coarse", "baseline-0", "baseline-4", "head-sdf-l1-2", "boundary-0", **COARSE)
+    fine = keep(tmp_path / "fine", "baseline-0", "baseline-1", "head-sdf-l1-0", architecture="vnet")
+    coarse = keep(
+        tmp_path / "coarse", "baseline-0", "baseline-4", "head-sdf-l1-2", "boundary-0", **COARSE, architecture="vnet"
+    )
     said = mix("--beside", coarse)
     assert "2 of 2 jobs to do" in said
     logs = LogFile(tmp_path / "mixed.jsonl").ensembles()
