@@ -87,6 +87,28 @@ def kernels_compiled_once(request: pytest.FixtureRequest, tmp_path_factory: pyte
         first_compile.compile_missing(shared)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def bounds_of_a_cochlea_once() -> Iterator[None]:
+    """They are those of hundreds of shapes, and many tests ask for a grid that holds the same family."""
+    from sdm.shapes import Cochlea
+
+    found: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+    plain = Cochlea.bounds
+
+    def bounds(self: Cochlea) -> tuple[torch.Tensor, torch.Tensor]:
+        # What is asked about another default device is asked of the family itself.
+        if type(self) is not Cochlea or torch.get_default_device().type != "cpu":
+            return plain(self)
+        if (key := self.fingerprint) not in found:
+            found[key] = plain(self)
+        low, high = found[key]
+        return low.clone(), high.clone()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Cochlea, "bounds", bounds)
+        yield
+
+
 @pytest.fixture(scope="session")
 def root() -> Path:
     """The checkout."""
