@@ -29,6 +29,7 @@ from sdm.bench.common.tables import print_results
 from sdm.bench.common.timing import median, once
 from sdm.bench.peers import Peer, all_peers
 from sdm.core.device import choose_device
+from sdm.errors import one_line
 
 # Voxels or points whose values are compared with the brute force.
 CHECKED = 4_000
@@ -187,6 +188,11 @@ def _case(name: str, own: Own) -> Case:
         return own.cases[name] if name in own.cases else load_case(name)
     except KeyError as error:
         raise sdm.MeshError(str(error.args[0])) from error
+    except sdm.SDMError:
+        raise
+    # Files are read by trimesh, as they are, and its readers raise whatever they come across.
+    except Exception as error:
+        raise sdm.MeshError(f"{name} cannot be read ({one_line(error)}): sdm inspect says more") from error
 
 
 def _upload(case: Case, device: str, options: Options) -> float | None:

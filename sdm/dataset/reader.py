@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,12 @@ class SDMDataset(Dataset[Batch]):
         return SDMStream(shapes, self.grid, batch_size, dtype=getattr(torch, recipe["dtype"]), **own, **options)
 
     def _number(self, item: int) -> int:
-        number = int(item)
+        try:
+            number = operator.index(item)
+        except TypeError:
+            raise SDMError(
+                f"{item!r} is no number of a sample: give one whole number, or torch.utils.data.Subset several"
+            ) from None
         if not -len(self) <= number < len(self):
             raise IndexError(f"{self.path} has {len(self)} samples; there is no number {number}")
         return number % len(self)

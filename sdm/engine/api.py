@@ -37,7 +37,7 @@ from sdm.engine.points import at_points, search_needs_tree_alone
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.runtime import graphs
 from sdm.runtime.operators import is_eager
-from sdm.runtime.torch_warp import current_device, has_forward_mode, refuse_forward_mode
+from sdm.runtime.torch_warp import current_device, has_forward_mode, refuse_other_modes
 from sdm.topology.boundary_edges import boundary_edges
 
 
@@ -147,7 +147,7 @@ def signed_distance_map(
         field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs)
         # Copies of a triangle are looked at once.
         return checked(MapCheck(), field, measured if index._repeated is None else index._measured)
-    refuse_forward_mode(mesh.vertices)
+    refuse_other_modes(mesh.vertices)
     with memory_guard(nbytes, where, partial(described, grid)):
         if method.is_default:
             field, ambiguous = mesh_map(
@@ -245,7 +245,7 @@ def signed_distance(
     """
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
-    refuse_forward_mode(mesh.vertices)
+    refuse_other_modes(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
     placed = mesh.to(where)
     structure = None

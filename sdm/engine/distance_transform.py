@@ -22,6 +22,12 @@ from sdm.runtime.operators import is_eager
 SURFACES = {"centres": 0.0, "faces": 0.5}
 # Classes by their values, by their number (1 to it), or every value that is there but 0.
 Classes = Sequence[int] | int | Literal["all"]
+# Attributes of images of other libraries, and what of them a transform takes.
+IMAGES = {
+    "dataobj": "np.asarray(image.dataobj) and image.header.get_zooms()",
+    "GetSpacing": "sitk.GetArrayViewFromImage(image) and image.GetSpacing()[::-1], both z, y, x",
+    "spatial_shape": "image.data and image.spacing",
+}
 A = TypeVar("A", Tensor, np.ndarray)
 
 
@@ -230,6 +236,9 @@ def _tensor_of(array: Any) -> tuple[Tensor, Callable[[Tensor], Any]]:
     """An array as a tensor that shares its memory, and the way back for results."""
     if type(array).__module__.split(".")[0] == "cupy":
         return torch.from_dlpack(array), import_module("cupy").from_dlpack
+    for attribute, says in IMAGES.items():
+        if hasattr(array, attribute):
+            raise SDMError(f"an image is no mask, as it has axes of its own: give its voxels and their sizes, {says}")
     values = np.asarray(array)
     if values.dtype.kind not in "buif":
         raise SDMError(f"a mask holds numbers or truth values, not {values.dtype}: give a tensor or a NumPy array")

@@ -40,7 +40,7 @@ from sdm.engine.ragged.calls import Found, Wanted, maps_of
 from sdm.engine.ragged.mesh_lists import are_meshes, as_sequence
 from sdm.engine.ragged.point_calls import distances_of
 from sdm.errors import MeshError, SDMError
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import refuse_other_modes
 from sdm.topology.face_pairing import neighbours
 
 
@@ -242,7 +242,7 @@ def signed_distance_maps(
         batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
     if not (isinstance(shared, Tensor) and shared.dtype == torch.int32 and shared.device == where):
         shared = as_tensor(faces, torch.int32, "the faces", device=where)
-    refuse_forward_mode(batch)
+    refuse_other_modes(batch)
     if batch.ndim != 3 or batch.shape[2] != 3 or batch.shape[0] == 0:
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:

@@ -39,7 +39,7 @@ from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_fa
 from sdm.errors import MeshError
 from sdm.runtime.host_copy import number_later
 from sdm.runtime.operators import is_eager
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import refuse_other_modes
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import pairing_of
 
@@ -66,7 +66,8 @@ class MeshIndex:
         MeshError: What is given is no mesh, or one that cannot be used.
 
     Takes about 350 bytes a triangle of memory on the device (420 for a mesh with more than 1024 boundary edges).
-    Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
+    Queries may run on any torch stream; between streams the caller orders the work, as for any tensor. Pickled or
+    copied it is the mesh alone, and its structure is built again, on a device of the same name.
     """
 
     def __init__(
@@ -79,12 +80,18 @@ class MeshIndex:
     ) -> None:
         if not isinstance(mesh, TriangleMesh):
             mesh = as_mesh(mesh)
-        refuse_forward_mode(mesh.vertices)
+        refuse_other_modes(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
         self.mesh = oriented(mesh, orient, self.device).to(self.device)
         self._check = MapCheck() if warn else None
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        vertices = self.mesh.vertices
+        kept = vertices if vertices.is_leaf else vertices.detach()
+        mesh = TriangleMesh(kept, self.mesh.faces, self.mesh.name, check=False)
+        return partial(MeshIndex, warn=self._check is not None), (mesh, str(self.device))
 
     def _build(self) -> None:
         mesh, edges = self.mesh, self._edges
@@ -134,7 +141,7 @@ class MeshIndex:
                 f"update was given vertices of shape {tuple(moved.shape)}, but {self.mesh.name} has "
                 f"{tuple(self.mesh.vertices.shape)}; build a new MeshIndex for another mesh"
             )
-        refuse_forward_mode(moved)
+        refuse_other_modes(moved)
         check = moved.device.type == "cpu" if check is None else check
         if moves_without_wait(moved) and self._always_closed:
             # Whoever writes into what was given must not move the mesh.
@@ -191,19 +198,11 @@ class MeshIndex:
 
     @overload
     def signed_distance_map(
-        self,
-        grid: GridLike,
-        *,
-        return_closest: Literal[False] = False,
-        **options: Unpack[ComparedSignOptions],
+        self, grid: GridLike, *, return_closest: Literal[False] = False, **options: Unpack[ComparedSignOptions]
     ) -> SDM: ...
     @overload
     def signed_distance_map(
-        self,
-        grid: GridLike,
-        *,
-        return_closest: Literal[True],
-        **options: Unpack[ComparedSignOptions],
+        self, grid: GridLike, *, return_closest: Literal[True], **options: Unpack[ComparedSignOptions]
     ) -> tuple[SDM, Closest]: ...
     def signed_distance_map(
         self,

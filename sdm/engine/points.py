@@ -21,7 +21,7 @@ from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_fa
 from sdm.errors import MeshError, SDMError
 from sdm.kernels.points.plan import plan_points
 from sdm.kernels.winding.winding_number import Winding
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import refuse_other_modes
 from sdm.topology.boundary_edges import boundary_edges
 
 
@@ -30,7 +30,7 @@ def as_points(points: Any, device: torch.device) -> Tensor:
     at = as_tensor(points, torch.float32, "the points", device=device)
     if at.ndim == 0 or at.shape[-1] != 3:
         raise MeshError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
-    refuse_forward_mode(at)
+    refuse_other_modes(at)
     return at
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
+from torch._C import _functorch
 from torch.autograd import forward_ad
 
 from sdm.kernels.launch import provide_zeros
@@ -127,14 +128,22 @@ def has_forward_mode() -> bool:
     return getattr(forward_ad, "_current_level", 0) >= 0
 
 
-def refuse_forward_mode(tensor: Tensor) -> None:
-    """Refuse a tensor with a forward-mode derivative, which torch would take for zero after Warp's kernels."""
-    # Nearly always there is no level of it.
-    if getattr(forward_ad, "_current_level", 0) < 0 or torch.compiler.is_compiling():
+def refuse_other_modes(tensor: Tensor) -> None:
+    """Refuse a tensor that kernels would misread: one with a forward-mode derivative, or of a transform of torch.func.
+
+    After Warp's kernels torch would take the derivative for zero, and of transforms it says nothing that helps.
+    """
+    if torch.compiler.is_compiling():
         return
-    if forward_ad.unpack_dual(tensor).tangent is not None:
+    # Nearly always there is no level of it.
+    if getattr(forward_ad, "_current_level", 0) >= 0 and forward_ad.unpack_dual(tensor).tangent is not None:
         raise NotImplementedError(
             "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
+        )
+    if _functorch.is_functorch_wrapped_tensor(tensor):
+        raise NotImplementedError(
+            "torch.func's transforms do not go through signed distances: in place of vmap give points of any shape "
+            "(...,3), in place of grad and jacrev use backward() or torch.autograd.functional.jacobian"
         )
 
 

@@ -62,6 +62,8 @@ def write_label_maps(
         raise SDMError("--smooth gives signed maps of a surface: leave out --unsigned")
     if smooth is not None and surface != "faces":
         raise SDMError("--smooth measures to a surface of its own: leave out --surface")
+    if source.is_dir() and source.suffix.lower() != ".zarr":
+        raise SDMError(f"{source} is a folder; give one label volume")
     check_target(out)
     field = load(source)
     labels = _labels_of(field, source)

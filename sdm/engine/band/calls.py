@@ -24,7 +24,7 @@ from sdm.engine.band.inside_runs import inside_runs
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.mesh_lists import are_meshes
 from sdm.errors import GridError
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import refuse_other_modes
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.
 BandGrid: TypeAlias = Grid | float | Sequence[float]
@@ -120,7 +120,7 @@ def _asked(
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
     chosen = band_grid(mesh, grid, half_width=half_width, **sized)
-    refuse_forward_mode(mesh.vertices)
+    refuse_other_modes(mesh.vertices)
     return mesh.to(choose_device(device, mesh.vertices)), chosen
 
 

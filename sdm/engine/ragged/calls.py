@@ -30,7 +30,7 @@ from sdm.engine.ragged.joint_maps import JointMaps, MapJob, ragged_maps
 from sdm.engine.ragged.mesh_lists import each_grid, in_pairs, is_crowded, numbered
 from sdm.kernels.dense.cost_model import search_is_faster
 from sdm.runtime.operators import are_eager
-from sdm.runtime.torch_warp import has_forward_mode, refuse_forward_mode
+from sdm.runtime.torch_warp import has_forward_mode, refuse_other_modes
 
 # A map of more voxels fills a device by itself.
 LARGEST_JOINED = 1 << 27
@@ -183,7 +183,7 @@ def _joinable(chunk: Sequence[MapJob], wanted: Wanted) -> list[list[MapJob]]:
     """Those that can be measured together, two or more at a time: on one device, turned or not."""
     if has_forward_mode():
         for job in chunk:
-            refuse_forward_mode(job.mesh.vertices)
+            refuse_other_modes(job.mesh.vertices)
     method = OPTIONS.get().method
     if method == "search":
         return []

@@ -16,7 +16,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.repeated_faces import CROWDED
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.runtime.operators import is_eager
-from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.runtime.torch_warp import refuse_other_modes
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ def is_crowded(mesh: TriangleMesh) -> bool:
 
 def is_plain(mesh: TriangleMesh) -> bool:
     """True for a mesh that no gradients flow to, with nothing else of torch's in the way."""
-    refuse_forward_mode(mesh.vertices)
+    refuse_other_modes(mesh.vertices)
     return is_eager(mesh.vertices)
 
 

@@ -44,6 +44,8 @@ from sdm.io.maps.record import (
 # Of a record of ours among the comments.
 BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
+# Units of length that files of maps do not name.
+OTHER_UNITS = {"meter": "metres", "micron": "micrometres"}
 # The last entry of a record whose values nobody has looked at.
 OPEN_ENTRY = to_line({CHECKSUM: OPEN}).encode()[1:-1]
 
@@ -161,6 +163,13 @@ def opened(path: Path, holder: FileHolder | None = None, *, with_lengths: bool =
                     SDMWarning,
                     stacklevel=2,
                 )
+            if with_lengths and (unit := OTHER_UNITS.get(image.header.get_xyzt_units()[0])) is not None:
+                warnings.warn(
+                    f"{path} counts in {unit}, and so do distances on its grid; files of maps say millimetres all the "
+                    f"same, so that other tools take one for the other: give an image in millimetres",
+                    SDMWarning,
+                    stacklevel=2,
+                )
             return image
     raise FormatError(f"{path} is not a NIfTI image")
 
@@ -169,7 +178,8 @@ def _geometry(image: Any, path: Path) -> tuple[Grid, int | None, Any]:
     """Grid, count of ambiguous voxels, and the record that both are from; None where the image's header tells."""
     shape = tuple(image.shape)
     if len(shape) < 3 or any(n != 1 for n in shape[3:]):
-        raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
+        several = "; take one of its volumes first, as image.slicer[..., 0] of nibabel does" if len(shape) > 3 else ""
+        raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed{several}")
     for extension in image.header.extensions:
         kept = _said(extension.get_content(), path)
         exact = None if kept is None else from_record(kept, str(path))

@@ -36,8 +36,7 @@ def unpacked(path: Path, ending: str) -> Iterator[Path]:
         elif ending.startswith("tar"):
             _unpack_tar(path, folder, budget)
         else:
-            opened = gzip.open if ending == "gz" else bz2.open
-            with opened(path) as file:
+            with gzip.open(path) if ending == "gz" else bz2.open(path) as file:
                 budget.copy(file, folder / path.name[: -len(f".{ending}")])
         yield folder
 

@@ -131,6 +131,9 @@ def test_workers_and_copies_read_it(tmp_path):
     assert field.grid == data.grid
     with pytest.raises(IndexError, match="there is no number 10"):
         data[COUNT]
+    for item in (1.5, slice(2), [1, 2]):
+        with pytest.raises(SDMError, match="no number of a sample: give one whole number"):
+            data[item]
 
 
 def test_what_makes_no_sense_is_refused_before_anything_is_written(tmp_path):

@@ -51,6 +51,14 @@ OF_VERTICES = {
 }
 
 
+@pytest.mark.parametrize("name", OF_POINTS)
+@pytest.mark.parametrize("transform", [torch.func.vmap, torch.func.grad, torch.func.jacrev])
+def test_transforms_of_torch_func_are_refused_in_words(name, transform):
+    index = sdm.MeshIndex(MESH, "cpu")
+    with pytest.raises(NotImplementedError, match=r"give points of any shape \(...,3\)"):
+        transform(lambda at: OF_POINTS[name](index, at).sum())(torch.rand(4, 2, 3))
+
+
 # Torch itself warns of what torch deprecates.
 @pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
 @pytest.mark.parametrize("name", OF_POINTS)

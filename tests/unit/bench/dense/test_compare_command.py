@@ -28,3 +28,10 @@ def test_runs(tmp_path, capsys):
 def test_bad_numbers_are_refused(choice, said):
     with pytest.raises(SDMError, match=said):
         command.bench(meshes=("cube",), peers=("sdm",), device="cpu", **choice)
+
+
+def test_a_file_that_is_no_mesh_is_named(tmp_path):
+    path = tmp_path / "cut.ply"
+    path.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n")
+    with pytest.raises(SDMError, match=r"cut\.ply cannot be read .*: sdm inspect says more"):
+        command.bench(meshes=(str(path),), resolutions=(8,), peers=("sdm",), device="cpu", quick=True)

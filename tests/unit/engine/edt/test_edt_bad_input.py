@@ -58,3 +58,10 @@ def test_voxels_that_are_no_numbers(dtype):
 def test_an_unknown_surface():
     with pytest.raises(SDMError, match="'centres' or 'faces'"):
         euclidean_distance_transform(torch.zeros(3, 3, 3), surface="edges")
+
+
+def test_an_image_is_refused_with_what_of_it_to_give():
+    nibabel = pytest.importorskip("nibabel")
+    image = nibabel.Nifti1Image(np.zeros((3, 3, 3), np.uint8), np.eye(4))
+    with pytest.raises(SDMError, match=r"image\.dataobj\) and image\.header\.get_zooms"):
+        euclidean_distance_transform(image)

@@ -38,3 +38,23 @@ def test_a_voxel_size_of_0_is_told_where_it_counts(odd, tmp_path, capfd):
     if counts:
         with pytest.warns(SDMWarning, match="a size of 0 is read as 1"):
             sdm.load(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"), [("mm", None), ("unknown", None), ("micron", "micrometres"), ("meter", "metres")]
+)
+def test_an_image_in_another_unit_than_that_of_files_of_maps_is_told_of(unit, said, tmp_path, capfd):
+    image = nib.Nifti1Image(np.eye(4, dtype=np.uint8)[None].repeat(4, 0), np.eye(4))
+    image.header.set_xyzt_units(unit)
+    nib.save(image, tmp_path / "labels.nii.gz")
+    assert main(["edt", str(tmp_path / "labels.nii.gz"), "-o", str(tmp_path / "d.nii.gz"), "--device", "cpu"]) == 0
+    err = capfd.readouterr().err
+    assert (f"labels.nii.gz counts in {said}, and so do distances" in err) if said else err == ""
+
+
+def test_several_volumes_in_one_file_are_to_be_parted_and_a_folder_is_none(tmp_path, capfd):
+    nib.save(nib.Nifti1Image(np.ones((4, 4, 4, 2), np.uint8), np.eye(4)), tmp_path / "two.nii.gz")
+    assert main(["edt", str(tmp_path / "two.nii.gz"), "-o", str(tmp_path / "d.nii.gz")]) == 2
+    assert "(4, 4, 4, 2); an image of three dimensions is needed; take one of its volumes" in capfd.readouterr().err
+    assert main(["edt", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert "is a folder; give one label volume" in capfd.readouterr().err
