@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sdm.core.given_values import real
 from sdm.errors import SDMError
 
 
@@ -24,8 +25,8 @@ def check_budget(budget_s: float | None) -> None:
     Raises:
         SDMError: It is neither positive nor None.
     """
-    if budget_s is not None and not budget_s > 0:
-        raise SDMError(f"a budget of {budget_s:g} seconds trains nothing: give a positive number, or none")
+    if budget_s is not None and not real(budget_s) > 0:
+        raise SDMError(f"a budget of {real(budget_s):g} seconds trains nothing: give a positive number, or none")
 
 
 class Clock:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self, get_type_hints
 
+from sdm.core.given_values import real
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.typed_record import as_type
 
@@ -73,7 +74,7 @@ def check_choice(name: str, value: Any, choices: Iterable[Any]) -> None:
         SDMError: Names them.
     """
     known = list(choices)
-    if value not in known:
+    if not isinstance(value, str | int) or value not in known:
         raise SDMError(f"there is no {name} called {value!r}; choose one of {', '.join(map(str, known))}")
 
 
@@ -91,12 +92,13 @@ def check_number(
     Raises:
         SDMError: Gives the range.
     """
-    if value is None or (math.isfinite(value) and above < value < below and least <= value <= most):
+    number = real(value)
+    if value is None or (math.isfinite(number) and above < number < below and least <= number <= most):
         return
     low = [f"{least:g} or more"] if least > -math.inf else [f"more than {above:g}"] if above > -math.inf else []
     high = [f"at most {most:g}"] if most < math.inf else [f"less than {below:g}"] if below < math.inf else []
     words = " and ".join(low + high) or "finite"
-    raise SDMError(f"{name.replace('_', ' ')} is {value}; it must be {words}")
+    raise SDMError(f"{name.replace('_', ' ')} is {value!r}; it must be {words}")
 
 
 def _plain(value: Any) -> Any:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sdm.core.given_values import as_path
+from sdm.core.given_values import as_path, whole
 from sdm.core.signed_distance_map import SDM
-from sdm.errors import FormatError
+from sdm.errors import FormatError, SDMError
 from sdm.io.files.atomic import replacing
 from sdm.viz.style import LEVEL_LINE, STYLE, SURFACE_LINE, colour_map
 from sdm.viz.surface_drawing import draw_surface
@@ -52,11 +52,16 @@ def picture(
 
     Raises:
         FormatError: An ending that is not one of these, or a place that cannot be written.
+        SDMError: No map, or no dots.
     """
     target = as_path(path)
     kind = target.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise FormatError(f"{target} does not end like a picture: use one of .{', .'.join(FORMATS)}")
+    if not isinstance(field, SDM):
+        raise SDMError(f"an object of type {type(field).__name__} is no map: give an SDM")
+    if whole(dpi, 1) is None:
+        raise SDMError(f"{dpi!r} dots an inch draw nothing: give 1 or more")
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):

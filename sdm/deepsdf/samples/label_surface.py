@@ -7,12 +7,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
-from sdm.errors import SDMError
+from sdm.errors import GridError, SDMError
 
 # Deviations of the Gaussian that it is cut off at, and that the volume gets as room on each side.
 CUT = 4.0
@@ -53,8 +54,10 @@ def label_surface(
     from scipy.ndimage import gaussian_filter
 
     size = spacing_of(spacing_mm)
-    if not smoothing_mm > 0:
-        raise SDMError(f"a smoothing of {smoothing_mm} mm is not positive; half a voxel or more is useful")
+    if not isinstance(mask, Tensor) or mask.ndim != 3:
+        raise GridError(f"an object of type {type(mask).__name__} is no volume: give a tensor (x,y,z)")
+    if not real(smoothing_mm) > 0:
+        raise SDMError(f"a smoothing of {smoothing_mm!r} mm is not positive; half a voxel or more is useful")
     inside = mask.detach() != 0
     if not bool(inside.any()):
         raise SDMError("the label is empty, so it has no surface; give a volume with foreground")

@@ -13,6 +13,7 @@ from torch import Tensor
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.points import PointsIndex
+from sdm.errors import SDMError
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
 from sdm.shapes import Family, make_family
@@ -41,6 +42,8 @@ class ExactBackend:
 
     def __init__(self, family: Family | None = None, device: str | torch.device | None = None) -> None:
         self.device = choose_device(device)
+        if not isinstance(family, Family | None):
+            raise SDMError(f"{family!r} is no family of shapes: sdm.shapes.load_family makes one of a name")
         self.family = make_family("cochlea", TRIANGLES) if family is None else family
         self.parameters = self.family.parameters
         self.faces = self.family.faces_on(self.device)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
+from sdm.core.given_values import real, two_numbers
 from sdm.core.grid import Grid
 from sdm.errors import GridError, SDMError
 from sdm.fit.model.anchor import Anchored
@@ -85,12 +86,12 @@ class FitOptions:
     def __post_init__(self) -> None:
         for name in ("fine", "turn", "shift", "length"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise SDMError(f"{name} is {value}; a positive number is needed")
-        if not 0 <= self.blur < math.inf:
-            raise SDMError(f"blur is {self.blur}; a number of 0 or more is needed")
-        if len(self.components) != 2 or min(self.components) < 1:
-            raise SDMError(f"components are {self.components}; 1 or more are needed inside and outside")
+            if value is not None and not 0 < real(value) < math.inf:
+                raise SDMError(f"{name} is {value!r}; a positive number is needed")
+        if not 0 <= real(self.blur) < math.inf:
+            raise SDMError(f"blur is {self.blur!r}; a number of 0 or more is needed")
+        if not min(two_numbers(self.components)) >= 1:
+            raise SDMError(f"components are {self.components!r}; 1 or more are needed inside and outside")
 
 
 def fit_shape(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,10 @@ import torch
 from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
+from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
@@ -85,7 +88,12 @@ def random_state(backend: Backend, seed: int, *, turn: float = 0.2, shift: float
         turn: Standard deviation of the rotation about each axis [rad].
         shift: Standard deviation of the translation along each axis [mm].
         edge: Share of each range to leave out at each end.
+
+    Raises:
+        SDMError: A deviation or a share that is none.
     """
+    if not (0 <= real(turn) < math.inf and 0 <= real(shift) < math.inf and 0 <= real(edge) <= 0.5):
+        raise SDMError(f"turn, shift and edge are {turn!r}, {shift!r} and {edge!r}; give 0 or more, and at most half")
     generator = np.random.default_rng(derive_seed(seed, "random state"))
     unit = edge + (1 - 2 * edge) * generator.random(len(backend.parameters))
     low, high = (np.array([getattr(p, end) for p in backend.parameters]) for end in ("low", "high"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from sdm.core.given_values import as_path
 from sdm.errors import FormatError
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.hdf5_cases import ENDINGS as HDF5
@@ -30,6 +31,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
     Raises:
         FormatError: There are no cases, or one of them has no label or cannot be read; it is named.
     """
+    folder = as_path(folder)
     if not folder.is_dir():
         raise FormatError(f"{folder} is not a folder of cases: give one with {LAYOUTS}")
     plain, images, masks = SPLIT_FOLDERS[part or "train"]

@@ -12,6 +12,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from sdm.engine.distance_transform import euclidean_distance_transform
+from sdm.errors import SDMError
 from sdm.segmentation.data.case import standardized
 from sdm.segmentation.data.downsample import coarse_image, fine_field
 from sdm.segmentation.infer.sliding_window import sliding_window
@@ -107,7 +108,13 @@ def _mirror_images(axes: str) -> list[tuple[int, ...]]:
 
 
 def largest_component(label: Tensor) -> Tensor:
-    """The largest 26-connected component of a mask (x,y,z), on its device; empty if it is."""
+    """The largest 26-connected component of a mask (x,y,z), on its device; empty if it is.
+
+    Raises:
+        SDMError: It is no tensor (x,y,z).
+    """
+    if not isinstance(label, Tensor) or label.ndim != 3:
+        raise SDMError(f"an object of type {type(label).__name__} is no mask: give a tensor (x,y,z)")
     parts, count = ndimage.label(label.cpu().numpy(), structure=np.ones((3, 3, 3)))  # type: ignore[misc]
     if count <= 1:
         return label

@@ -90,6 +90,6 @@ def method_called(name: str) -> Method:
     Raises:
         SDMError: There is none; the names are listed.
     """
-    if name not in METHODS:
+    if not isinstance(name, str) or name not in METHODS:
         raise SDMError(f"there is no method called {name!r}; choose one of {', '.join(METHODS)}")
     return METHODS[name]

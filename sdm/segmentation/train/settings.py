@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sdm.core.device import plain_defaults
+from sdm.core.given_values import whole
 from sdm.errors import SDMError
 from sdm.segmentation.data.augment import Augment
 from sdm.segmentation.networks.model import NETWORKS, Architecture, SegmentationModel
@@ -73,16 +74,17 @@ class Settings(TrainingSettings):
         method_called(self.method)
         check_choice("network", self.architecture, NETWORKS)
         multiple = NETWORKS[self.architecture][2]
-        if len(self.patch) != 3 or any(n < multiple or n % multiple for n in self.patch):
-            raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
-        if self.coarsen < 1:
-            raise SDMError(f"voxels are made larger by a whole number, 1 or more, not by {self.coarsen}")
-        if self.batch < 1 or self.steps < 1:
-            raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
+        sizes = [whole(n, multiple) for n in self.patch] if isinstance(self.patch, list | tuple) else []
+        if len(sizes) != 3 or any(n is None or n % multiple for n in sizes):
+            raise SDMError(f"a patch of {self.patch!r} does not suit {self.architecture}: use multiples of {multiple}")
+        if whole(self.coarsen, 1) is None:
+            raise SDMError(f"voxels are made larger by a whole number, 1 or more, not by {self.coarsen!r}")
+        if whole(self.batch, 1) is None or whole(self.steps, 1) is None:
+            raise SDMError(f"{self.steps!r} steps of {self.batch!r} patches train nothing: give at least one of each")
         if self.batch * math.prod(n // multiple for n in self.patch) < 2:
             raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
         check_number("the learning rate", self.learning_rate, above=0)
-        if not set(self.mirrors) <= set("xyz"):
+        if not isinstance(self.mirrors, str) or not set(self.mirrors) <= set("xyz"):
             raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
         check_number("the averaged share of the training", self.average, least=0, most=1)
         # The first of the U-Net's convolutions has half of the filters.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
 
+from sdm.core.given_values import real
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
@@ -29,9 +30,9 @@ def exact_map(theta: Sequence[float], device: str | torch.device | None = "cpu")
     Raises:
         MeshError: Not four finite numbers, or a and alpha of which no cochlea can be made.
     """
-    values = [float(x) for x in theta]
+    values = [real(x) for x in theta] if isinstance(theta, Iterable) and np.ndim(theta) == 1 else []
     if len(values) != 4 or not all(math.isfinite(x) for x in values):
-        raise MeshError(f"theta is {values}; give four finite numbers a, alpha, b, phi")
+        raise MeshError(f"theta is {theta!r}; give four finite numbers a, alpha, b, phi")
     a, alpha, b, _ = values
     if not 0 < a <= LARGEST_MM or not 0 <= alpha <= LARGEST_MM or not 0 <= b <= 1:
         raise MeshError(

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from sdm.core.given_values import as_path
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, MeshError
 from sdm.shapes import make_family
@@ -43,7 +44,7 @@ def load_surrogate(source: Path | str | None = None, *, device: torch.device | s
 def given_or_shipped(source: Path | str | None) -> Path:
     """The file of weights that is named, else the one that comes with the package."""
     if source is not None:
-        return Path(source)
+        return as_path(source)
     found = shipped_weights()
     if found is None:
         raise FormatError("no surrogate comes with this installation: train one with `sdm train sdmnn`")

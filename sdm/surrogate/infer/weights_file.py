@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from sdm.core.device import device_to_hold
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
 from sdm.io.files.json_file import write_json
@@ -98,7 +99,7 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
     with fitting_states(source, NO_SURROGATE):
         model = build(config["model"], **config["config"])
         model.load_state_dict(_unpack(packed))
-    return model.eval().requires_grad_(False).to(device), config
+    return model.eval().requires_grad_(False).to(device_to_hold(device)), config
 
 
 def near_error(facts: dict[str, Any]) -> float | None:

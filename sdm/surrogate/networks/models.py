@@ -20,7 +20,7 @@ def build(name: str, **config: Any) -> nn.Module:
     Raises:
         SDMError: There is none of that name.
     """
-    if name not in MODELS:
+    if not isinstance(name, str) or name not in MODELS:
         raise SDMError(f"there is no surrogate called {name!r}; use {', '.join(MODELS)}")
     return MODELS[name](**config)
 
