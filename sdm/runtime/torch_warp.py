@@ -18,7 +18,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
-from torch._C import _functorch
+from torch._C._functorch import is_functorch_wrapped_tensor
 from torch.autograd import forward_ad
 
 from sdm.kernels.launch import provide_zeros
@@ -140,7 +140,7 @@ def refuse_other_modes(tensor: Tensor) -> None:
         raise NotImplementedError(
             "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
         )
-    if _functorch.is_functorch_wrapped_tensor(tensor):
+    if is_functorch_wrapped_tensor(tensor):
         raise NotImplementedError(
             "torch.func's transforms do not go through signed distances: in place of vmap give points of any shape "
             "(...,3), in place of grad and jacrev use backward() or torch.autograd.functional.jacobian"

@@ -158,15 +158,22 @@ def generate(
             {"count": count, "resolution": resolution, "margin": margin, "resume": resume or None, **asked}
         )
         return _verify(source, options, out, device, ray)
-    begun = None
-    if source is None and resume:
-        recipe, there, begun, known = _recipe(out)
+    given = {key: value for key, value in options.items() if value is not None}
+    begun, first = None, {}
+    if resume and (source is None or _is_begun(out)):
+        recipe, there, begun, first = _recipe(out)
         asked, count = {**recipe, **asked}, there if count is None else count
-        known = _changed(known, {key: value for key, value in options.items() if value is not None})
-    elif source is None:
-        raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
+    if source is None:
+        if not resume:
+            raise SDMError(
+                "say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help"
+            )
+        known = _changed(first, given)
     else:
         known = _describe(source, options, sign)
+        if all(known.get(key) == first.get(key) for key in ("family", "folder", "file")):
+            # Named once more, it is what it was begun as, but for what is asked for.
+            known = _describe(source, {**_options(first), **given}, asked.get("sign"))
     if skip_bad and "folder" not in known:
         raise SDMError("--skip-bad is for a folder of meshes: a family has no bad ones")
     if count is None:
@@ -227,7 +234,9 @@ def _changed(known: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
         return known
     if "file" in known:
         raise SDMError("name the dataset's family to change its options: code is run only where it is named")
-    return _describe(known.get("family") or known.get("folder") or "", {**_options(known), **options})
+    return _describe(
+        known.get("family") or known.get("folder") or "", {**_options(known), **options}, known.get("sign")
+    )
 
 
 def _grid_of(begun: Grid | None, resolution: int | None, margin: float | None) -> Callable[[Family], Grid]:
@@ -283,6 +292,12 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     return None
 
 
+def _is_begun(out: Path) -> bool:
+    from sdm.dataset.layout import part_of
+
+    return any((place / "zarr.json").is_file() for place in (out, part_of(out)))
+
+
 def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     """Options, count, grid and source that an unfinished dataset was begun with."""
     import torch
@@ -303,7 +318,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
 
 
 def _options(known: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in known.items() if key not in ("family", "folder", "file", "reference")}
+    return {key: value for key, value in known.items() if key not in ("family", "folder", "file", "reference", "sign")}
 
 
 def _describe(source: str, options: dict[str, Any], sign: str | None = None) -> dict[str, Any]:

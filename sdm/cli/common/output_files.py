@@ -107,5 +107,10 @@ def targets_in(out: Path, sources: list[Path], ending: str) -> list[Path]:
 def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise FormatError(
+            f"{folder} is a file, and its name does not end like a map: name a folder, or a file with one of "
+            f".{', .'.join(FORMATS)}"
+        ) from error
     except OSError as error:
         raise FormatError(f"the folder {folder} cannot be made: {error.strerror or error}") from error

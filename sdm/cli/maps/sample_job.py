@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sdm.cli.common.failed_item import reason_of
+from sdm.cli.common.printed_line import counted
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.core.device import choose_device
 from sdm.engine.arguments import Sign
@@ -91,7 +92,7 @@ def entry_of(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> M
     if found.there:
         more = {"triangles": found.triangles, "closed": found.closed}
         return MeshEntry(mesh=shown(source), state="there already", sign=sign, **more)
-    unsure = [f"the flood does not prove the sign of {found.unsure:,} samples"] if found.unsure else []
+    unsure = [f"the flood does not prove the sign of {counted(found.unsure, 'sample')}"] if found.unsure else []
     return MeshEntry(
         mesh=shown(source),
         state="done",

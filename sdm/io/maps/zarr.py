@@ -107,7 +107,9 @@ def read_record(path: Path) -> Any:
 def _open(path: Path) -> zarr.Array:
     opened = zarr.open(path, mode="r")
     if not isinstance(opened, zarr.Array):
-        raise FormatError(f"{path} is a zarr group; an array that sdm wrote is needed")
+        dataset = "sdm" in opened.attrs and "theta" in opened
+        what = "a dataset of maps: sdm explore shows it, and sdm.SDMDataset(path).sdm(number) is one of them"
+        raise FormatError(f"{path} is {what if dataset else 'a zarr group; an array that sdm wrote is needed'}")
     return opened
 
 

@@ -63,7 +63,7 @@ class _Budget:
         if self.left < 0:
             raise MeshError(f"{self.path} unpacks to more than {self.whole >> 20} MiB, {MOST_TIMES} times its size")
 
-    def copy(self, source: IO[bytes], target: Path) -> None:
+    def copy(self, source: IO[bytes] | gzip.GzipFile, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("wb") as file:
             while block := source.read(BLOCK):

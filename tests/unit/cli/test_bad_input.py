@@ -52,7 +52,7 @@ def place(tmp_path, monkeypatch):
         ("ball.stl ball.stl -o x.npz", "several meshes need a folder"),
         ("ball.stl -o nowhere/x.npz", "nowhere is not there"),
         ("ball.stl -o file/x.npz", "is not a folder"),
-        ("ball.stl ball.stl -o file", "the folder file cannot be made"),
+        ("ball.stl ball.stl -o file", "file is a file, and its name does not end like a map: name a folder"),
         ("ball.stl -o folder.nii.gz/x/y.npz", "is not there"),
         ("ball.stl -o x.npz --resolution 0", "resolution 0"),
         ("ball.stl -o x.npz --resolution -5", "resolution -5"),

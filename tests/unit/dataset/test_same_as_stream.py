@@ -134,6 +134,8 @@ def test_workers_and_copies_read_it(tmp_path):
     for item in (1.5, slice(2), [1, 2]):
         with pytest.raises(SDMError, match="no number of a sample: give one whole number"):
             data[item]
+    with pytest.raises(FormatError, match="is a dataset of maps: sdm explore shows it"):
+        sdm.load(data.path)
 
 
 def test_what_makes_no_sense_is_refused_before_anything_is_written(tmp_path):

@@ -229,6 +229,18 @@ def test_resume_refuses_what_the_dataset_is_not(tmp_path, capsys, family):
     assert run("--resume", "--count", "5", "--resolution", "10", *(own if family else []), *family, "-o", out) == 0
 
 
+def test_what_is_left_out_beside_the_family_is_what_the_dataset_was_begun_with(tmp_path, capsys):
+    out = tmp_path / "d.zarr"
+    assert run("cochlea", *SMALL, "--triangles", "600", "--seed", "3", "-o", out) == 0
+    assert run("cochlea", "--resume", "--device", "cpu", "-o", out) == 0
+    assert run("cochlea", "--triangles", "600", "--count", "5", "--resume", "--device", "cpu", "-o", out) == 0
+    capsys.readouterr()
+    assert run("cochlea", "--triangles", "900", "--resume", "--device", "cpu", "-o", out) == 2
+    assert "cochlea is not what" in capsys.readouterr().err
+    assert run("cuboid", "--resume", "--device", "cpu", "-o", out) == 2
+    assert "has family cochlea, but cuboid was requested" in capsys.readouterr().err
+
+
 def test_progress_in_a_log(monkeypatch, capsys):
     clock = iter([0.0, 10.0, 40.0, 100.0])
     monkeypatch.setattr("sdm.cli.common.progress.time.monotonic", lambda: next(clock))
