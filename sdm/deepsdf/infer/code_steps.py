@@ -8,7 +8,6 @@ pass back through the network gives all derivatives, a sparse matrix (`CodeJacob
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,8 +22,6 @@ from sdm.deepsdf.networks.decoders import Decoder
 from sdm.fit.model.pose import State, vector_from_rotation
 from sdm.runtime.threads import threads
 
-# Steps of conjugate gradients at most, and the share of the residual, in the given inverse's norm, at which they end.
-SOLVES, ACCURACY = 250, 1e-3
 # Variance of what the training's codes leave open, as a share of theirs: a shape that was left out is half outside.
 OPEN = 1.0
 # Deviations of log size and rotation about the start: a whole code has sizes and turns of its own, and would drift.
@@ -155,26 +152,6 @@ class CodeUnknowns:
             # The projection onto the bounded codes' sphere is symmetric.
             by_code = self.gaussian.spread(directions(by_code, self.code(at), self._bound)[0])
         return torch.cat([by_code.double(), slopes.similar.T @ pull])
-
-
-def conjugate_gradients(
-    product: Callable[[Tensor], Tensor], right: Tensor, preconditioner: Callable[[Tensor], Tensor]
-) -> Tensor:
-    """The solution of a symmetric positive system, nearly; sooner, the nearer a given inverse is."""
-    x, r = torch.zeros_like(right), right
-    p = z = preconditioner(r)
-    rz = (r * z).sum()
-    enough = ACCURACY**2 * rz
-    for _ in range(SOLVES):
-        image = product(p)
-        step = rz / (p * image).sum().clamp_min(1e-300)
-        x, r = x + step * p, r - step * image
-        z = preconditioner(r)
-        new = (r * z).sum()
-        if float(new) < float(enough):
-            break
-        p, rz = z + new / rz.clamp_min(1e-300) * p, new
-    return x
 
 
 class Evenness:

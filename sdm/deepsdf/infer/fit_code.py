@@ -17,7 +17,6 @@ from sdm.deepsdf.infer.code_steps import (
     Evenness,
     Slopes,
     WholeCode,
-    conjugate_gradients,
     prior_deviations,
 )
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
@@ -29,6 +28,7 @@ from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
 from sdm.fit.solve.fit_shape import FitOptions, image_tensor, renderer_of
 from sdm.runtime.threads import threads
+from sdm.training.conjugate_gradients import conjugate_gradients
 
 # Where the start explains less than this of its neighbourhood, first lengths of the logistic [voxels] under which a
 # surface is felt that lies some voxels off; steps at each, and at the last.
@@ -39,6 +39,8 @@ FAR, LENGTHS, STEPS, LAST = 0.97, (1.2, 0.5), 2, 15
 CHANGED, UNSETTLED, LITTLE = 0.1, 0.35, 0.05
 # A step that does not go down is halved so often.
 HALVED = 3
+# Steps of conjugate gradients at most, and the share of the residual, in the given inverse's norm, at which they end.
+SOLVES, ACCURACY = 250, 1e-3
 # Voxels with less of the other side than this are not cut. So many tell their noise.
 PURE, MANY = 0.01, 100
 # Points at which the slope of the distances is looked at.
@@ -238,7 +240,8 @@ class _Image:
 
         even = found.even
         right = weight * backward(found.residual) - even.backward(even.residual) / SLOPE**2 - unknowns.away(at)
-        step = conjugate_gradients(normal, right, self._preconditioner(at, found, right, forward(right)))
+        inverse = self._preconditioner(at, found, right, forward(right))
+        step = conjugate_gradients(normal, right, SOLVES, preconditioner=inverse, accuracy=ACCURACY)
         before, most = self.objective(at, found, found.noise), 0.0
         for _ in range(HALVED):
             moved = unknowns.moved(at, step)

@@ -63,9 +63,5 @@ class UnitSphere:
         """The mesh with normalised vertices."""
         return TriangleMesh(self.to_unit(mesh.vertices), mesh.faces, mesh.name, check=False)
 
-    def restored(self, mesh: TriangleMesh) -> TriangleMesh:
-        """The inverse of `normalised`."""
-        return TriangleMesh(self.from_unit(mesh.vertices), mesh.faces, mesh.name, check=False)
-
     def _middle(self, points: Tensor) -> Tensor:
         return torch.tensor(self.centre, dtype=torch.float64, device=points.device)

@@ -27,6 +27,7 @@ from sdm.fit.model.backend import Distances
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
 from sdm.fit.solve.fit_shape import image_tensor
+from sdm.training.conjugate_gradients import conjugate_gradients
 
 # Lengths of the logistic, in voxels, steps at each, and steps of conjugate gradients for one of these.
 LENGTHS, STEPS, SOLVES = (1.6, 0.8, 0.4, 0.2), 4, 40
@@ -140,7 +141,7 @@ def _step(
         along = amount[:, None] * normals
         return weight * backward(forward(amount)) + bent(along) + 1e-6 * smooth * amount
 
-    amount = _conjugate_gradients(normal_equations, weight * backward(residual) - bent(moved))
+    amount = conjugate_gradients(normal_equations, weight * backward(residual) - bent(moved), SOLVES)
     surface.move(amount.clamp(-furthest, furthest)[:, None] * normals)
     return noise, (high, low)
 
@@ -150,18 +151,6 @@ def _levels(values: Tensor, share: Tensor) -> tuple[float, float]:
     design = torch.stack([1 - share.flatten(), share.flatten()], 1)
     low, high = torch.linalg.solve(design.T @ design, design.T @ values.flatten()).tolist()
     return low, high
-
-
-def _conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor) -> Tensor:
-    x, r = torch.zeros_like(right), right
-    p, rr = r, (r * r).sum()
-    for _ in range(SOLVES):
-        image = product(p)
-        step = rr / (p * image).sum().clamp_min(1e-300)
-        x, r = x + step * p, r - step * image
-        new = (r * r).sum()
-        p, rr = r + new / rr.clamp_min(1e-300) * p, new
-    return x
 
 
 @dataclass(frozen=True, eq=False)

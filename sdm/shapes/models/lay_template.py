@@ -11,7 +11,6 @@ modeling", SGP 2007. The stiffness falls from turn to turn (Amberg et al., "Opti
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -22,6 +21,7 @@ from sdm.core.random import derive_seed, generator
 from sdm.engine.mesh_index import MeshIndex
 from sdm.shapes.family_check import crossing_share
 from sdm.shapes.models.procrustes import rotations
+from sdm.training.conjugate_gradients import conjugate_gradients
 
 TURNS, RIGID_TURNS = 48, 12
 STIFF, SOFT = 300.0, 0.05
@@ -157,7 +157,7 @@ class TemplateLayer:
             return inside * torch.zeros_like(x).index_add(0, a, per_edge).index_add(0, b, -per_edge)
 
         right = scattered(wanted - (x[a] - x[b]))
-        return x + _conjugate_gradients(lambda v: scattered(v[a] - v[b]), right, 2 * SOLVES)
+        return x + conjugate_gradients(lambda v: scattered(v[a] - v[b]), right, 2 * SOLVES)
 
     def placed(self, mesh: TriangleMesh, *, seed: int = 0) -> Tensor:
         """Vertices (V,3) of the template moved, turned and scaled as a whole onto a mesh."""
@@ -236,7 +236,7 @@ class TemplateLayer:
             return along + from_points(back * (moved * pull).sum(1)) + scattered(weight * (v[a] - v[b])) + 1e-6 * v
 
         right = -(front * d)[:, None] * way + from_points(back * e) - scattered(weight * stretch)
-        return _conjugate_gradients(normal_equations, right, SOLVES)
+        return conjugate_gradients(normal_equations, right, SOLVES)
 
     def _without_turning(self, x: Tensor, step: Tensor, rest: Tensor, turns: Tensor) -> tuple[Tensor, Tensor]:
         """x after the step, shortened around faces that would turn over, and these faces."""
@@ -282,19 +282,6 @@ def surface_samples(mesh: TriangleMesh, count: int, seed: int, device: torch.dev
     root = random[1].sqrt()
     share = torch.stack([1 - root, root * (1 - random[2]), root * random[2]], 1)
     return (share[:, :, None] * corners[which]).sum(1), _face_normals(vertices, faces)[which]
-
-
-def _conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor, steps: int) -> Tensor:
-    """Solution of a positive definite system after a fixed number of steps, without a wait for the device."""
-    x, r = torch.zeros_like(right), right
-    p, rr = r, (r * r).sum()
-    for _ in range(steps):
-        ap = product(p)
-        alpha = rr / (p * ap).sum().clamp_min(1e-30)
-        x, r = x + alpha * p, r - alpha * ap
-        fresh = (r * r).sum()
-        p, rr = r + fresh / rr.clamp_min(1e-30) * p, fresh
-    return x
 
 
 def _nearest_rotations(matrices: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sdm.deepsdf import DeepSDF, local, published
-from sdm.deepsdf.infer.code_steps import CodeUnknowns, Evenness, conjugate_gradients, prior_deviations
+from sdm.deepsdf.infer.code_steps import CodeUnknowns, Evenness, prior_deviations
 from sdm.deepsdf.infer.fit_backend import DeepSDFBackend
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.networks.code_gaussian import CodeGaussian
@@ -80,10 +80,3 @@ def test_the_gaussian_is_standard_in_its_coordinates() -> None:
     standard = gaussian.standard(code - gaussian.mean)
     torch.testing.assert_close(gaussian.spread(standard) + gaussian.mean, code, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(standard.square().sum(), gaussian.squared_distance(code[None])[0], rtol=1e-4, atol=1e-4)
-
-
-def test_conjugate_gradients_solve() -> None:
-    root = torch.randn(8, 8, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    matrix, right = root @ root.T + torch.eye(8), torch.arange(8.0, dtype=torch.float64)
-    found = conjugate_gradients(lambda x: matrix @ x, right, lambda x: x / matrix.diagonal())
-    assert float((matrix @ found - right).norm() / right.norm()) < 0.05

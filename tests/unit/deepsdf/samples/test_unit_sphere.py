@@ -29,12 +29,12 @@ def test_there_and_back_keeps_every_coordinate_far_from_the_origin() -> None:
     assert (sphere.from_unit(unit) - points).abs().max() <= 1e4 * 2.0**-23
 
 
-def test_meshes_go_there_and_back() -> None:
+def test_normalised_meshes_are_points_of_the_unit_sphere_and_back() -> None:
     mesh = TriangleMesh([[1, 2, 3], [4, 2, 3], [1, 7, 3]], [[0, 1, 2]], "it")
     sphere = UnitSphere.of(mesh)
-    again = sphere.restored(sphere.normalised(mesh))
-    assert torch.allclose(again.vertices, mesh.vertices, atol=1e-6)
-    assert again.name == "it"
+    unit = sphere.normalised(mesh)
+    assert torch.allclose(sphere.from_unit(unit.vertices), mesh.vertices, atol=1e-6)
+    assert unit.name == "it"
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), float("inf")])

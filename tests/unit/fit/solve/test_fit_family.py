@@ -115,7 +115,7 @@ def test_commands_fit_images_and_points(balls, tmp_path, monkeypatch, capsys):
         ("--points a.npy --picture p.png", "--picture is of an image's fit"),
         ("ct.nii.gz --family torus", "there is no family called 'torus'"),
         ("ct.nii.gz --family cuboid --backend hybrid", "are for images of the cochlea"),
-        ("--points flat.npy", "(N, 3) numbers are needed"),
+        ("--points flat.npy", "(N, 3), or (N, 6) with normals, is needed"),
     ],
 )
 def test_bad_input_ends_with_a_sentence(tmp_path, monkeypatch, capsys, words, expected):
