@@ -13,6 +13,7 @@ import torch
 from sdm.core.random import derive_seed, generator
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.train.settings import Settings
+from sdm.errors import SDMError
 
 PURPOSES = [(), ("a",), ("a", "b"), ("ab",), ("a", "", "b"), ("b", "a"), (1,), ("1",), (-1,), (1, 2), (12,), ("i1:1",)]
 SEEDS = [0, 1, 2, -1, 2**32, 2**63, 2**64, 2**64 - 1, -(2**63), 10**23, 10**5000]
@@ -44,7 +45,7 @@ def test_neither_words_nor_whole_numbers_are_refused():
     for wrong in (0.5, None, b"a", ("a",)):
         with pytest.raises(TypeError):
             derive_seed(0, wrong)  # type: ignore[arg-type]
-    with pytest.raises(TypeError):
+    with pytest.raises(SDMError, match="the seed is '0'; give a whole number"):
         derive_seed("0")  # type: ignore[arg-type]
 
 

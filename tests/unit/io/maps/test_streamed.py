@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 import weakref
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,14 +59,14 @@ def test_an_open_mesh(tmp_path):
     assert load(tmp_path / "map.nii").ambiguous_voxels == index.signed_distance_map(GRID).ambiguous_voxels
 
 
-class Slabs:
+class Slabs(MeshIndex):
     """An index whose maps hold their layer's number, and which watches that slabs are let go."""
 
-    closed = True
-    mesh = None
-    device = torch.device("cpu")
+    closed = True  # pyright: ignore[reportAssignmentType]
 
     def __init__(self) -> None:
+        self.mesh: Any = None
+        self.device = torch.device("cpu")
         self.largest = 0
 
     def slabs(self, grid: Grid, max_bytes: int, *, ambiguous: torch.Tensor | None = None):
@@ -86,7 +87,7 @@ def test_a_large_grid_is_never_whole_in_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(zarr_io, "SLAB_BYTES", 1 << 18)
     grid = Grid((0, 0, 0), (1, 1, 1), (100, 40, 30))
     index = Slabs()
-    write_streamed(index, grid, tmp_path / "map.zarr")  # pyright: ignore[reportArgumentType]
+    write_streamed(index, grid, tmp_path / "map.zarr")
     assert index.largest <= 1 << 18
     values = load(tmp_path / "map.zarr").numpy()
     assert (values == np.arange(100, dtype=np.float32)[:, None, None]).all()
@@ -101,12 +102,14 @@ def test_slabs_are_whole_chunks_within_their_bytes(shape):
     assert layers <= zarr_io.CHUNK or layers % zarr_io.CHUNK == 0
 
 
-class Killed:
+class Killed(MeshIndex):
     """An index whose process is killed at the fifth slab."""
 
-    closed = True
-    mesh = None
-    device = torch.device("cpu")
+    closed = True  # pyright: ignore[reportAssignmentType]
+
+    def __init__(self) -> None:
+        self.mesh: Any = None
+        self.device = torch.device("cpu")
 
     def slabs(self, grid, max_bytes, *, ambiguous=None):
         for i in range(grid.shape[0]):
