@@ -22,9 +22,9 @@ import numpy as np
 from sdm.bench.fuzz.trial import Finding, Outcome
 from sdm.core.random import derive_seed
 
-PARTS = ("numerics", "near_degenerate", "mesh_files", "map_files", "bands", "datasets", "models")
+PARTS = ("numerics", "near_degenerate", "paths", "mesh_files", "map_files", "bands", "datasets", "models")
 # Parts that launch kernels.
-NUMERIC = {"numerics", "near_degenerate", "bands"}
+NUMERIC = {"numerics", "near_degenerate", "paths", "bands"}
 # A trial that takes longer hangs, as far as a user is concerned.
 MOST_SECONDS = 30.0
 

@@ -364,7 +364,7 @@ def test_a_new_mesh_waits_for_its_faces_alone(launches):
         sdm.signed_distance_map(mesh, large)
         returned_before.append(not torch.cuda.current_stream().query())
     assert any(returned_before)
-    assert len(launches) == 2
+    assert len(launches) == 1 + len(returned_before)
 
 
 @pytest.mark.usefixtures("whole_gpu")
