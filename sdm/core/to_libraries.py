@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from sdm.core.axis_order import reversed_axes
 from sdm.core.block_lookup import BLOCK
 from sdm.errors import SDMError, one_line
 
@@ -62,7 +63,7 @@ def map_to_pyvista(field: SDM) -> Any:
     if not grid.is_axis_aligned:
         image.direction_matrix = np.asarray(grid.direction)
     # VTK counts along x first.
-    image.point_data[IMPLICIT_DISTANCE] = field.numpy().ravel(order="F")
+    image.point_data[IMPLICIT_DISTANCE] = reversed_axes(field.numpy()).ravel()
     return image
 
 
@@ -70,7 +71,7 @@ def map_to_sitk(field: SDM) -> Any:
     """A `SimpleITK.Image` in LPS coordinates: x and y of the map's RAS ones are negated."""
     grid = field.grid
     to_lps = np.array([-1.0, -1.0, 1.0])
-    image = imported("SimpleITK", "SimpleITK").GetImageFromArray(np.ascontiguousarray(field.numpy().transpose()))
+    image = imported("SimpleITK", "SimpleITK").GetImageFromArray(reversed_axes(field.numpy()))
     image.SetSpacing(grid.spacing)
     image.SetOrigin((to_lps * grid.origin).tolist())
     image.SetDirection((to_lps[:, None] * np.asarray(grid.direction)).ravel().tolist())

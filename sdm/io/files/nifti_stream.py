@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sdm.core.axis_order import reversed_axes
 from sdm.io.files.checksum import checksum_of
 from sdm.io.files.direct_file import DirectFile
 from sdm.io.files.gzip_packer import packed
@@ -29,12 +30,9 @@ def pieces(head: bytes, values: np.ndarray) -> Iterator[np.ndarray]:
     layers = max(1, TURNED // (4 * nx * ny))
     for begin in range(0, nz, layers):
         part = values[:, :, begin : begin + layers]
-        # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
-        first, second = (thread_room(name, part.nbytes).view(part.dtype) for name in ("turned", "turned twice"))
-        turned = first.reshape(-1, nx)
-        turned[:] = part.reshape(nx, -1).T
-        second.reshape(-1, ny, nx)[:] = turned.reshape(ny, -1, nx).transpose(1, 0, 2)
-        yield second.view(np.uint8)
+        turned = thread_room("turned", part.nbytes)
+        reversed_axes(part, turned.view(part.dtype).reshape(-1, ny, nx))
+        yield turned
 
 
 def write_file(path: Path, head: bytes, values: np.ndarray) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
@@ -143,13 +143,14 @@ def offsets_of(arrays: Iterable[np.ndarray]) -> list[int]:
     return found[:-1]
 
 
-def file_bytes(kind: str, inside: str, arrays: Iterable[np.ndarray]) -> bytes:
-    """A whole file: elements, then the values of little-endian arrays, not compressed."""
+def write_file(file: BinaryIO, kind: str, inside: str, arrays: Iterable[np.ndarray]) -> None:
+    """Write a whole file: elements, then the values of little-endian arrays, not compressed."""
     head = (
         f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="LittleEndian" '
         f'header_type="UInt64">\n{inside}<AppendedData encoding="raw">\n_'
     )
-    parts = [head.encode()]
+    file.write(head.encode())
     for values in arrays:
-        parts += [values.nbytes.to_bytes(8, "little"), values.tobytes()]
-    return b"".join([*parts, b"\n</AppendedData>\n</VTKFile>\n"])
+        file.write(values.nbytes.to_bytes(8, "little"))
+        file.write(np.ascontiguousarray(values).data)
+    file.write(b"\n</AppendedData>\n</VTKFile>\n")

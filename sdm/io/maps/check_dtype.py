@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sdm.core.axis_order import reversed_axes
 from sdm.errors import FormatError
 
 
@@ -17,4 +18,6 @@ def plain_numbers(values: np.ndarray, path: Path) -> np.ndarray:
     """
     if values.dtype.kind not in "buif":
         raise FormatError(f"{path} has values of type {values.dtype}: plain numbers are needed")
+    if values.ndim == 3 and values.flags.f_contiguous and not values.flags.c_contiguous:
+        values = reversed_axes(values.T)
     return np.require(values, np.float32, ["C_CONTIGUOUS", "WRITEABLE"])

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from sdm.core.as_grid import LPS
+from sdm.core.axis_order import reversed_axes
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
@@ -68,7 +69,9 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         END: "LOCAL",
     }
     text = "".join(f"{name} = {value}\n" for name, value in header.items())
-    path.write_bytes(text.encode() + values.tobytes(order="F"))
+    with path.open("wb") as file:
+        file.write(text.encode())
+        file.write(reversed_axes(values).data)
 
 
 def read(path: Path) -> SDM:

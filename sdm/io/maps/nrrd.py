@@ -12,6 +12,7 @@ import nrrd
 import numpy as np
 import torch
 
+from sdm.core.axis_order import reversed_axes
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
@@ -58,7 +59,8 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         KEY: to_line(kept),
     }
     with _WithoutDate(path.open("wb", buffering=0)) as file:
-        nrrd.write(file, values, header, index_order="F")
+        # So that it lies as the file does.
+        nrrd.write(file, reversed_axes(values).T, header, index_order="F")
 
 
 class _WithoutDate(io.BufferedWriter):

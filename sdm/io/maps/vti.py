@@ -10,11 +10,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import torch
 
+from sdm.core.axis_order import reversed_axes
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.core.to_libraries import IMPLICIT_DISTANCE
 from sdm.errors import FormatError
-from sdm.io.files.vtk_xml import VtkFile, data_array, file_bytes
+from sdm.io.files.vtk_xml import VtkFile, data_array, write_file
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.header_record import geometry_of
 from sdm.io.maps.record import KEY, RECORD_CHECKSUM, record, sign_arguments, signs_of, to_line, verify, with_checksum
@@ -31,7 +32,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     grid, values = field.grid, field.numpy().astype("<f4", copy=False)
     kept = with_checksum(record(grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
     # VTK counts along x first.
-    flat = values.ravel(order="F")
+    flat = reversed_axes(values).ravel()
     extent = " ".join(f"0 {n - 1}" for n in grid.shape)
     codes = " ".join(str(code) for code in [*to_line(kept).encode(), 0])
     inside = (
@@ -41,7 +42,8 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         f'</FieldData>\n<Piece Extent="{extent}">\n<PointData Scalars="{IMPLICIT_DISTANCE}">\n'
         f"{data_array(IMPLICIT_DISTANCE, flat, 0)}</PointData>\n</Piece>\n</ImageData>\n"
     )
-    path.write_bytes(file_bytes(KIND, inside, [flat]))
+    with path.open("wb") as file:
+        write_file(file, KIND, inside, [flat])
 
 
 def read(path: Path) -> SDM:

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from sdm.errors import MeshError
-from sdm.io.files.vtk_xml import VtkFile, data_array, file_bytes, offsets_of
+from sdm.io.files.vtk_xml import VtkFile, data_array, offsets_of, write_file
 from sdm.io.meshes.polygons import PolygonMesh
 
 KIND = "PolyData"
@@ -58,4 +58,4 @@ def write_vtp(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
         f'NumberOfPolys="{len(faces)}">\n<Points>\n{places}</Points>\n<Polys>\n{corners}{ends}</Polys>\n</Piece>\n'
         "</PolyData>\n"
     )
-    file.write(file_bytes(KIND, inside, arrays.values()))
+    write_file(file, KIND, inside, arrays.values())
