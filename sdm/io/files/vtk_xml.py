@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 import numpy as np
 
@@ -29,6 +29,7 @@ TYPES = {
     "String": "u1",
 }
 APPENDED = b"<AppendedData"
+Bytes: TypeAlias = bytes | memoryview
 
 
 class VtkFile:
@@ -42,10 +43,10 @@ class VtkFile:
         # A parser that commands without such files need not wait for.
         from xml.etree import ElementTree as ET
 
-        head, marker, tail = data.partition(APPENDED)
+        marker = data.find(APPENDED)
         try:
             # Not to be found among values: no bytes of XML are read behind the marker.
-            self.root = ET.fromstring(head + b"</VTKFile>" if marker else data)  # noqa: S314 (plain elements)
+            self.root = ET.fromstring(data if marker < 0 else data[:marker] + b"</VTKFile>")  # noqa: S314 (plain elements)
         except ET.ParseError as error:
             raise ValueError(f"it is no XML: {one_line(error)}") from error
         if self.root.tag != "VTKFile" or self.root.get("type") != kind:
@@ -54,8 +55,9 @@ class VtkFile:
             raise ValueError(f"it is compressed by {self.root.get('compressor')}, which is not read: use zlib or none")
         self._order = ">" if self.root.get("byte_order") == "BigEndian" else "<"
         self._counter = np.dtype(self._order + TYPES[self.root.get("header_type", "UInt32")])
-        self._is_text = b'encoding="base64"' in tail[:200]
-        self._appended = tail[tail.index(b"_") + 1 :] if marker else b""
+        self._is_text = marker >= 0 and data.find(b'encoding="base64"', marker, marker + 200) >= 0
+        # Parts of it are looked at, not copied.
+        self._appended = memoryview(data)[data.index(b"_", marker) + 1 :] if marker >= 0 else memoryview(b"")
 
     def values(self, array: ET.Element) -> np.ndarray:
         """The numbers (N,) or (N,components) of a DataArray."""
@@ -71,6 +73,7 @@ class VtkFile:
         kind = array.get("format", "ascii")
         if kind == "ascii":
             return np.array((array.text or "").split(), dtype=dtype)
+        data: Bytes
         if kind == "appended":
             begin = int(array.get("offset", "0"))
             data, is_text = self._appended[begin:], self._is_text
@@ -78,7 +81,7 @@ class VtkFile:
             data, is_text = (array.text or "").strip().encode(), True
         return np.frombuffer(self._unpacked(data, is_text), dtype)
 
-    def _unpacked(self, data: bytes, is_text: bool) -> bytes:
+    def _unpacked(self, data: Bytes, is_text: bool) -> Bytes:
         if self.root.get("compressor") is None:
             head, body = self._split(data, 1, is_text)
             return _whole(body(int(head[0])), int(head[0]))
@@ -100,7 +103,7 @@ class VtkFile:
             begin += length
         return b"".join(blocks)
 
-    def _split(self, data: bytes, counters: int, is_text: bool) -> tuple[np.ndarray, Callable[[int], bytes]]:
+    def _split(self, data: Bytes, counters: int, is_text: bool) -> tuple[np.ndarray, Callable[[int], Bytes]]:
         """The counters before an array, and a function that gives so many bytes of what follows."""
         size = counters * self._counter.itemsize
         if not is_text:
@@ -118,11 +121,11 @@ class VtkFile:
         )
 
 
-def _decoded(text: bytes, size: int) -> bytes:
+def _decoded(text: Bytes, size: int) -> bytes:
     return base64.b64decode(text[: -(-size // 3) * 4])
 
 
-def _whole(data: bytes, size: int) -> bytes:
+def _whole(data: Bytes, size: int) -> Bytes:
     if len(data) < size:
         raise ValueError("it is cut off")
     return data

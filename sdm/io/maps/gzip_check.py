@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import gzip
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
+from isal import igzip, isal_zlib
 from nibabel.fileholders import FileHolder
 
 from sdm.errors import FormatError, one_line
 
 BLOCK = 1 << 20
+# Its types call this an instance.
+DAMAGED: type[Exception] = cast("type[Exception]", isal_zlib.error)
 
 
 @contextmanager
@@ -26,10 +29,11 @@ def held(path: Path) -> Iterator[FileHolder]:
         yield FileHolder(str(path))
         return
     try:
-        with gzip.open(path, "rb") as file:
+        # Twice as fast as Python's own.
+        with igzip.open(path, "rb") as file:
             yield FileHolder(fileobj=file)
             while file.read(BLOCK):
                 pass
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+    except (gzip.BadGzipFile, EOFError, DAMAGED) as error:
         why = one_line(error)
         raise FormatError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
