@@ -3,8 +3,9 @@
 Parts: `mesh_files`, `map_files`, `bands`, `datasets`, `models` (damage to bytes: right, or refused in one sentence),
 `numerics` (random nasty meshes against the float64 brute force), `near_degenerate` (slivers and T-junctions against
 exact rational arithmetic) and `paths` (dirty meshes by first, repeated, recorded and joint calls, all of the same bits,
-on a GPU where there is one). Trial number n of a seed is always the same, whatever came before it: `--first n --trials 1`
-runs it again. `--minutes` are those of all processes together: `--minutes 60 --processes 12` ends after five.
+on a GPU where there is one). Trial number n of a seed is always the same, whatever came before it: `--first n
+--trials 1` runs it again. `--minutes` are those of all processes together: `--minutes 60 --processes 12` ends after
+five.
 """
 
 from __future__ import annotations
