@@ -18,11 +18,11 @@ from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import device_to_hold
 from sdm.core.given_values import as_level, real, whole
 from sdm.core.grid import Grid
+from sdm.core.interpolation.tricubic import tricubic
+from sdm.core.interpolation.trilinear import trilinear
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.normalization import Normalization
 from sdm.core.to_libraries import map_to_nibabel, map_to_pyvista, map_to_sitk
-from sdm.core.tricubic import tricubic
-from sdm.core.trilinear import trilinear
 from sdm.errors import GridError, SDMError
 
 # Voxels whose signs are held at a time, a byte each.
@@ -253,8 +253,8 @@ class SDM:
 
         Args:
             points: (...,3) coordinates in the mesh's unit, NumPy or torch.
-            order: 1 for trilinear, from the eight voxels around; 3 for tricubic (`sdm.core.tricubic`), from 64: smooth,
-                and nearer where the map is.
+            order: 1 for trilinear, from the eight voxels around; 3 for tricubic
+                (`sdm.core.interpolation.tricubic`), from 64: smooth, and nearer where the map is.
 
         Returns:
             (...) on the map's device, NaN beyond the outermost voxel centres. Differentiable in `points` and in the

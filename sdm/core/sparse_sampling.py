@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdm.core.tricubic import cubic_weights
+from sdm.core.interpolation.tricubic import cubic_weights
 from sdm.core.voxel_points import places_on
 
 if TYPE_CHECKING:

@@ -186,7 +186,8 @@ class SparseSDM:
 
         Args:
             points: (...,3) coordinates in the mesh's unit, NumPy or torch.
-            order: 1 for trilinear, from the eight voxels around; 3 for tricubic (`sdm.core.tricubic`), from 64.
+            order: 1 for trilinear, from the eight voxels around; 3 for tricubic
+                (`sdm.core.interpolation.tricubic`), from 64.
 
         Returns:
             (...) on the band's device, NaN beyond the outermost voxel centres. Differentiable in `points` and in the

@@ -220,9 +220,9 @@ def write_streamed(
     """
     # Its package needs what reading and writing does not.
     from sdm.engine.arguments import SignMethod
-    from sdm.engine.mesh_index import MeshIndex
 
-    if not isinstance(index, MeshIndex):
+    # Whatever gives a map in slabs will do.
+    if not hasattr(index, "slabs"):
         raise SDMError(f"an object of type {type(index).__name__} is no index of a mesh: give a sdm.MeshIndex")
     asked: dict[str, Any] = {} if sign == "winding" and hole_size is None else {"sign": sign, "hole_size": hole_size}
     target, grid = as_path(path), as_grid(grid, index.mesh)

@@ -1,0 +1,1 @@
+"""Values of a map between its voxels."""
