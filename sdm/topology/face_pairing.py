@@ -199,10 +199,9 @@ def queue_pairing(
             as_warp(each, wp.int32) for each in (faces, first, flags, unmatched, around)
         )
         if by_table:
-            more: dict[str, Any] = of_table.copy()
-            for name, it in of_table.items():
-                if isinstance(it, Tensor):
-                    more[name] = as_warp(it, wp.int32)
+            more: dict[str, Any] = {
+                name: as_warp(it, wp.int32) if isinstance(it, Tensor) else it for name, it in of_table.items()
+            }
             pair_by_table(given, firsts, found, edges, beside, empty, **more)
         else:
             brought = None if within is None else as_warp(within, wp.int32)

@@ -156,22 +156,25 @@ def _of_group(
     good = [outcome for outcome in group if isinstance(outcome, Done)]
     made: dict[int, Done[B] | Failed] = {outcome.number: outcome for outcome in group if isinstance(outcome, Failed)}
     if good:
-        try:
-            with times.busy(name, good[0].number):
-                values = work([outcome.value for outcome in good])
-        # Whoever looks at the outcome raises it, or says it.
-        except Exception as error:  # noqa: BLE001
-            if len(good) == 1:
-                made[good[0].number] = Failed(good[0].number, error)
-            else:
-                for outcome in good:
-                    made.update((found.number, found) for found in _of_group([outcome], name, work, times))
-        else:
-            made.update((outcome.number, Done(outcome.number, v)) for outcome, v in zip(good, values, strict=True))
-            del values
+        made.update((outcome.number, outcome) for outcome in _worked(good, name, work, times))
     numbers = [outcome.number for outcome in group]
     for number in numbers:
         yield made.pop(number)
+
+
+def _worked(
+    good: Sequence[Done[A]], name: str, work: Callable[[Sequence[A]], Sequence[B]], times: StageTimes
+) -> list[Done[B] | Failed]:
+    """The outcomes of work on some values together; one by one if that fails, so that each has its own."""
+    try:
+        with times.busy(name, good[0].number):
+            values = work([outcome.value for outcome in good])
+    # Whoever looks at the outcome raises it, or says it.
+    except Exception as error:  # noqa: BLE001
+        if len(good) == 1:
+            return [Failed(good[0].number, error)]
+        return [found for outcome in good for found in _worked([outcome], name, work, times)]
+    return [Done(outcome.number, value) for outcome, value in zip(good, values, strict=True)]
 
 
 def _is_there(waiting: Future[B] | Failed) -> bool:
