@@ -14,14 +14,14 @@ from sdm.errors import FormatError
 
 # Some seconds together on an idle core.
 TRIALS = {
-    "numerics": 12,
-    "near_degenerate": 12,
+    "numerics": 8,
+    "near_degenerate": 8,
     "paths": 6,
-    "mesh_files": 250,
-    "map_files": 150,
-    "bands": 30,
-    "datasets": 16,
-    "models": 80,
+    "mesh_files": 120,
+    "map_files": 80,
+    "bands": 16,
+    "datasets": 8,
+    "models": 40,
 }
 LONG = 60.0
 
