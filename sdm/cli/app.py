@@ -73,6 +73,8 @@ TERMINATED = 143
 # takes a quarter of a second of the start.
 GARBAGE_THRESHOLDS = (10_000, 10, 10)
 
+# With --resume these go on where they were interrupted.
+RESUMABLE = (["compute"], ["generate"], ["sample"], ["watertight"], ["train", "deepsdf"], ["train", "segmentation"])
 # Commands that launch kernels, which compile at the first time.
 WITH_KERNELS = (
     "compute",
@@ -123,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("sdm: terminated", file=sys.stderr)
         return TERMINATED
     except KeyboardInterrupt:
-        print("sdm: interrupted", file=sys.stderr)
+        print(f"sdm: interrupted{_way_on(words)}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         # Whoever read the output has gone; the interpreter must not fail again as it flushes.
@@ -142,6 +144,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         gc.set_threshold(*thresholds)
     return DONE if code is None else code
+
+
+def _way_on(words: list[str]) -> str:
+    """How a command goes on that was interrupted, to be added to a sentence; nothing where it only begins again."""
+    goes_on = words[:1] in RESUMABLE or words[:2] in RESUMABLE
+    return f"; the same command{'' if '--resume' in words else ' with --resume'} goes on from there" if goes_on else ""
 
 
 def _told_by_addresses(command: Callable[[], int | None]) -> int | None:

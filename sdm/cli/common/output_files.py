@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 from sdm.errors import FormatError, MeshError
@@ -52,11 +53,15 @@ def plan(meshes: list[Path], out: Path, ending: str | None, default: str = DEFAU
 def inputs_of(meshes: list[Path]) -> dict[Path, Path]:
     """Mesh files, each once, with their places: the path below the folder that was named, or the name alone."""
     found: dict[Path, Path] = {}
+    # A file may be named twice in different words: `a.ply` and `../here/a.ply`.
+    true_folder = cache(os.path.realpath)
+    known: set[tuple[str, str]] = set()
     for path in meshes:
-        if path.is_dir():
-            found.update((file, file.relative_to(path)) for file in mesh_tree(path) if file not in found)
-        else:
-            found.setdefault(path, Path(path.name))
+        files = {file: file.relative_to(path) for file in mesh_tree(path)} if path.is_dir() else {path: Path(path.name)}
+        for file, place in files.items():
+            if (where := (true_folder(file.parent), file.name)) not in known:
+                known.add(where)
+                found[file] = place
     return found
 
 

@@ -214,6 +214,24 @@ def test_the_program_and_the_module(tmp_path):
         assert done.stderr.splitlines()[-1].startswith(said)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sample", "x"], "sdm: interrupted; the same command with --resume goes on from there"),
+        (["train", "deepsdf", "x", "--resume"], "sdm: interrupted; the same command goes on from there"),
+        (["train", "sdmnn"], "sdm: interrupted"),
+        (["edt", "x"], "sdm: interrupted"),
+    ],
+)
+def test_an_interrupted_command_says_how_it_goes_on(words, said, monkeypatch, capsys):
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "_parse", lambda _: interrupted)
+    assert main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == said
+
+
 def test_an_interrupt_before_the_program_is_read():
     """As Ctrl+C in the first hundredths of a second, while the parser is imported: a line, and no traceback."""
     early = "class Early:\n def find_spec(self, name, *_):\n  if name == 'tyro': raise KeyboardInterrupt"

@@ -207,3 +207,11 @@ def test_kill_9_leaves_no_broken_map_and_is_resumed_to_the_same_bytes(tmp_path):
     assert main([*words, str(out), "--resume"]) == 0
     assert len(list(out.glob("[0-9]*.npz"))) == 80
     assert {path: path.stat().st_mtime_ns for path in there} == before
+
+
+def test_a_mesh_that_is_named_twice_in_other_words_is_one(shapenet, monkeypatch):
+    monkeypatch.chdir(shapenet)
+    folder = Path("02691156")
+    once = inputs_of([folder])
+    again = [shapenet / folder, Path("../", shapenet.name, folder), *(shapenet / file for file in once)]
+    assert inputs_of([folder, *again]) == once
