@@ -32,7 +32,8 @@ class SignedDistanceMap(_transforms.Transform):
             for masks, a channel each; of one channel everything but 0 is the class.
         spacing: Size of a voxel along each axis; None for that of the label's affine matrix, and 1 if it has none.
         surface: "faces" for the surface made of voxel faces, "centres" as SciPy measures.
-        truncate: Cut distances to this on both sides.
+        truncate: Cut distances to this on both sides. A class that is not there is so far away everywhere; without a
+            truncation its map is 0.
         normalize: Scale to -1..1, see `sdm.losses.class_maps`.
         device: Where to compute; by default where the label is. The maps come to be there.
     """

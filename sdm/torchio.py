@@ -28,7 +28,8 @@ class SignedDistanceMap(_torchio.Transform):
         classes: Of a label map with one channel: the values, their number, or "all" for those that are there but 0.
             None for masks, a channel each; of one channel everything but 0 is the class.
         surface: "faces" for the surface made of voxel faces, "centres" as SciPy measures.
-        truncate: Cut distances to this on both sides.
+        truncate: Cut distances to this on both sides. A class that is not there is so far away everywhere; without a
+            truncation its map is 0.
         normalize: Scale to -1..1, see `sdm.losses.class_maps`.
         device: Where to compute; by default on the CPU, where TorchIO's images are.
         postfix: What a map's name has after its label's.

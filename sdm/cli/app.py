@@ -147,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _way_on(words: list[str]) -> str:
-    """How a command goes on that was interrupted, to be added to a sentence; nothing where it only begins again."""
+    """Words about going on with an interrupted command, to end a sentence; none where it only begins again."""
     goes_on = words[:1] in RESUMABLE or words[:2] in RESUMABLE
     return f"; the same command{'' if '--resume' in words else ' with --resume'} goes on from there" if goes_on else ""
 
