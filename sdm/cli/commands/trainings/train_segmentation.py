@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from sdm.cli.common.argument_types import Device
 from sdm.cli.common.printed_line import print_line
+
+if TYPE_CHECKING:
+    import torch
+
+    from sdm.segmentation import Case, SegmentationModel, Settings
+    from sdm.segmentation.train.training import Source
 
 
 def segmentation(
@@ -89,20 +95,7 @@ def segmentation(
     from sdm.cli.common.progress import CountProgress
     from sdm.core.device import choose_device
     from sdm.io.maps.formats import check_file
-    from sdm.segmentation import (
-        Patches,
-        Settings,
-        SyntheticPatches,
-        TrainedModel,
-        check_cases,
-        has_part,
-        read_cases,
-        read_shapes,
-        save_model,
-        table,
-        train,
-        validate,
-    )
+    from sdm.segmentation import Settings, TrainedModel, save_model, train
     from sdm.training.budget import check_budget
     from sdm.training.checkpoints import refuse_unfinished, training_folder
 
@@ -135,17 +128,8 @@ def segmentation(
     if not resume:
         refuse_unfinished(checkpoint)
     where = choose_device(device)
-    cases = read_cases(data, "train")
-    check_cases(cases, spacing=spacing)
-    others = read_cases(data, "val", labels=False) if has_part(data, "val") else []
-    others = [case for case in others if case.label is not None]
-    if others:
-        check_cases(others, spacing=cases[0].spacing)
-    if labels is None:
-        patches = Patches.of_settings(cases, settings, where)
-    else:
-        found = read_shapes(labels, cases[0].spacing)
-        patches = SyntheticPatches.of_settings_and_shapes(cases, settings, where, found)
+    cases, others = _cases(data, spacing)
+    patches = _patches(cases, labels, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with training_folder(out):
         check_file(out / "model.pt")
@@ -169,8 +153,37 @@ def segmentation(
         checkpoint.unlink(missing_ok=True)
     print_line(f"{out / 'model.pt'}: {method}, {steps:,} steps on {len(cases)} cases, {training.seconds:,.0f} s")
     if others:
-        scores = [largest for _, _, largest in validate(training.model, others, patch)]
-        columns = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm")
-        print(f"largest component of {len(others)} cases, mean (standard deviation):")
-        print(table({method: scores}, columns))
+        _print_scores(method, training.model, others, patch)
     return None
+
+
+def _cases(data: Path, spacing: tuple[float, float, float] | None) -> tuple[list[Case], list[Case]]:
+    """The cases to train with, and those to validate with that have a label."""
+    from sdm.segmentation import check_cases, has_part, read_cases
+
+    cases = read_cases(data, "train")
+    check_cases(cases, spacing=spacing)
+    others = read_cases(data, "val", labels=False) if has_part(data, "val") else []
+    others = [case for case in others if case.label is not None]
+    if others:
+        check_cases(others, spacing=cases[0].spacing)
+    return cases, others
+
+
+def _patches(cases: list[Case], labels: Path | None, settings: Settings, device: torch.device) -> Source:
+    """Patches of the cases, and with a folder of label maps also of cases made up from these."""
+    from sdm.segmentation import Patches, SyntheticPatches, read_shapes
+
+    if labels is None:
+        return Patches.of_settings(cases, settings, device)
+    found = read_shapes(labels, cases[0].spacing)
+    return SyntheticPatches.of_settings_and_shapes(cases, settings, device, found)
+
+
+def _print_scores(method: str, model: SegmentationModel, cases: list[Case], patch: tuple[int, int, int]) -> None:
+    from sdm.segmentation import table, validate
+
+    scores = [largest for _, _, largest in validate(model, cases, patch)]
+    columns = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm")
+    print(f"largest component of {len(cases)} cases, mean (standard deviation):")
+    print(table({method: scores}, columns))
