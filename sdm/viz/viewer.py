@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from sdm.viz.style import MAP_COLOURS, colour_map
 PIXELS = (1600, 1000)
 # Samples of a pixel, along each axis.
 SAMPLES = 3
+# Polyscope's, in degrees from the lower edge of a picture to the upper one, and the room that is left around.
+VIEW_ANGLE, ROOM = 45.0, 1.1
 PALETTE = "inside red, outside blue"
 
 
@@ -48,7 +51,7 @@ def view(field: SDM, *, mesh: MeshLike | None = None, level: float = 0.0, pictur
     polyscope = _started(window=picture is None)
     cut = _show_map(polyscope, field)
     _show_surface(polyscope, surface, cut)
-    _look(polyscope, field)
+    _look(polyscope, field, surface)
     if picture is not None:
         _draw(polyscope, Path(picture))
         return
@@ -129,13 +132,33 @@ def _show_surface(polyscope: Any, surface: TriangleMesh, cut: Any) -> None:
     shown.set_ignore_slice_plane(cut, True)
 
 
-def _look(polyscope: Any, field: SDM) -> None:
-    """From the side that is cut away, and a little from above."""
-    grid = field.grid
+def _look(polyscope: Any, field: SDM, surface: TriangleMesh) -> None:
+    """From the side that is cut away, and a little from above, so far away that all that is shown is seen."""
     middle = _middle(field)
-    reach = float(np.linalg.norm(np.multiply(grid.spacing, grid.shape)))
-    towards = np.array(grid.direction) @ np.array([0.35, -1.0, 0.45])
-    polyscope.look_at(middle + 0.75 * reach * towards, middle)
+    towards = np.array(field.grid.direction) @ np.array([0.35, -1.0, 0.45])
+    towards /= np.linalg.norm(towards)
+    # The half of the map behind the cut.
+    ends = np.array(field.grid.shape) - 1.0
+    behind = np.array(list(product((0.0, ends[0]), (ends[1] / 2, ends[1]), (0.0, ends[2]))))
+    affine = field.grid.affine
+    shown = np.concatenate([behind @ affine[:3, :3].T + affine[:3, 3], surface.numpy()[0]])
+    polyscope.look_at(middle + distance_to_see(shown - middle, towards) * towards, middle)
+
+
+def distance_to_see(places: np.ndarray, towards: np.ndarray) -> float:
+    """Distance of a camera, along `towards` (3,) from the origin that it looks at, from which all places are seen.
+
+    Args:
+        places: (N,3).
+        towards: A unit vector. Up in the picture is z.
+    """
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    if np.linalg.norm(right) < 1e-6:
+        right = np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    above, slope = np.cross(towards, right), np.tan(np.radians(VIEW_ANGLE / 2)) / ROOM
+    sideways, upwards = np.abs(places @ right) * PIXELS[1] / PIXELS[0], np.abs(places @ above)
+    return float((places @ towards + np.maximum(sideways, upwards) / slope).max())
 
 
 def _middle(field: SDM) -> np.ndarray:

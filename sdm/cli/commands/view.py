@@ -35,7 +35,7 @@ def view(
     from sdm.core.device import choose_device
     from sdm.core.grid import Grid
     from sdm.engine.api import signed_distance_map
-    from sdm.errors import GridError
+    from sdm.errors import GridError, SDMError
     from sdm.io import load, load_mesh
     from sdm.io.maps.formats import is_map_name
     from sdm.shapes.family import check_resolution
@@ -45,7 +45,10 @@ def view(
     if is_map_name(file):
         if resolution is not None:
             raise GridError(f"{file} is a map, which has its own voxels: leave out --resolution")
-        show(load(file), level=level, picture=out)
+        field = load(file)
+        if level == 0 and bool((field.values >= 0).all()) and bool((field.values == field.values.round()).all()):
+            raise SDMError(f"{file} looks like a label volume: sdm edt makes the distance maps of its classes")
+        show(field, level=level, picture=out)
         return
     voxels = 96 if resolution is None else resolution
     check_resolution(voxels)

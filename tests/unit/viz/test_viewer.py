@@ -12,7 +12,7 @@ import sdm
 from sdm.cli import main
 from sdm.core.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
-from sdm.viz.viewer import view
+from sdm.viz.viewer import distance_to_see, view
 
 TURNED = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -55,6 +55,28 @@ def test_a_picture_has_surface_and_map_in_their_colours(opengl, tmp_path, direct
     assert abs(columns.mean() / pixels.shape[1] - 0.5) < 0.1
 
 
+@pytest.mark.parametrize("towards", [(0.3, -0.8, 0.5), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)])
+def test_all_places_are_in_the_picture_and_one_of_them_near_its_edge(towards):
+    places = np.random.default_rng(0).normal(size=(50, 3)) * (1, 2, 5)
+    towards = np.array(towards) / np.linalg.norm(towards)
+    depth = distance_to_see(places, towards) - places @ towards
+    right = np.cross((0, 0, 1), towards) if abs(towards[2]) < 1 else np.array([1.0, 0, 0])
+    right /= np.linalg.norm(right)
+    shares = np.abs([places @ right / depth / 1.6, places @ np.cross(towards, right) / depth]) / np.tan(np.pi / 8)
+    assert depth.min() > 0
+    assert 0.9 < shares.max() < 0.92
+
+
+def test_a_surface_up_to_the_border_of_a_tall_map_is_not_cut_off(opengl, tmp_path):
+    from matplotlib.image import imread
+
+    grid = sdm.Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (16, 16, 48))
+    across = (grid.points().reshape(*grid.shape, 3)[..., :2] - 7.5).norm(dim=-1)
+    view(sdm.SDM(across - 7.0, grid), picture=tmp_path / "view.png")
+    pixels = imread(tmp_path / "view.png")[..., :3]
+    assert (np.concatenate([pixels[:5], pixels[-5:]]) > 0.95).all()
+
+
 def test_the_block_lies_where_the_grid_does(opengl, tmp_path):
     field = ball(TURNED)
     view(field, picture=tmp_path / "view.png")
@@ -75,6 +97,10 @@ def test_the_command_shows_maps_and_meshes(opengl, tmp_path, capsys):
         target = tmp_path / f"{words[0]}.png"
         assert main(["view", str(tmp_path / words[0]), *words[1:], "--out", str(target)]) == 0
         assert target.read_bytes().startswith(b"\x89PNG")
+    labels = sdm.SDM(torch.ones(4, 4, 4), sdm.Grid((0, 0, 0), (1, 1, 1), (4, 4, 4)))
+    labels.save(tmp_path / "labels.npz")
+    assert main(["view", str(tmp_path / "labels.npz"), "--out", str(tmp_path / "no.png")]) == 2
+    assert "labels.npz looks like a label volume: sdm edt" in capsys.readouterr().err
     assert main(["view", str(tmp_path / "ball.npz"), "--level", "9", "--out", str(tmp_path / "no.png")]) == 2
     assert "no surface at level 9" in capsys.readouterr().err
     assert not (tmp_path / "no.png").exists()

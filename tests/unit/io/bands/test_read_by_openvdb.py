@@ -18,6 +18,21 @@ SOURCE = Path(__file__).with_name("read_by_openvdb.cpp")
 HEADERS = Path(os.environ.get("NANOVDB_INCLUDE", "/usr/include"))
 
 
+def test_the_program_of_the_page_has_the_band_s_own_distances(tmp_path, monkeypatch):
+    if shutil.which("g++") is None or not (HEADERS / "nanovdb/util/SampleFromVoxels.h").is_file():
+        pytest.skip("needs g++ and libnanovdb-dev")
+    page = (Path(__file__).parents[4] / "docs/from/openvdb.md").read_text(encoding="utf-8")
+    (tmp_path / "distance.cpp").write_text(page.partition("```cpp\n")[2].partition("```")[0], encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    words = ["g++", "-O2", "-std=c++17", f"-I{HEADERS}", "distance.cpp", "-o", "distance", "-lz"]
+    subprocess.run(words, capture_output=True, check=True)
+    band = sdm.narrow_band(sdm.TriangleMesh(*sphere(12)), resolution=32, half_width=4.0, device="cpu")
+    band.save("band.nvdb")
+    for place in ((0.9, 0.1, 0.2), (0.0, -0.95, 0.3), (1.0, 0.0, 0.05)):
+        told = subprocess.run(["./distance", *map(str, place)], capture_output=True, text=True, check=True)
+        assert float(told.stdout) == pytest.approx(float(band.sample([place])[0]), abs=2e-6)
+
+
 @pytest.mark.slow
 def test_openvdb_reads_a_band(tmp_path):
     if shutil.which("g++") is None or not (HEADERS / "nanovdb/util/NanoToOpenVDB.h").is_file():
