@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from sdm.runtime.rare_collections import rare_collections as _rare_collections
+
 if TYPE_CHECKING:
     from sdm import compat as compat
     from sdm import dataset as dataset
@@ -129,11 +131,12 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _PACKAGES:
-        return import_module(f"sdm.{_PACKAGES[name]}")
-    if name not in _HOMES:
+    if name not in _PACKAGES and name not in _HOMES:
         raise AttributeError(f"module 'sdm' has no attribute {name!r}")
-    value = getattr(import_module(f"sdm.{_HOMES[name]}"), name)
+    with _rare_collections():
+        if name in _PACKAGES:
+            return import_module(f"sdm.{_PACKAGES[name]}")
+        value = getattr(import_module(f"sdm.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 

@@ -1,4 +1,4 @@
-"""Start-up of the commands: seconds that `sdm inspect` and `sdm compute` of a small mesh take beyond `import torch`.
+"""Start-up: seconds that `sdm inspect`, `sdm compute` and a map in Python, of a small mesh, take beyond `import torch`.
 
 `python -m sdm.bench.cli.startup` prints a table, with the dearest imports; `--out FILE.json` keeps the figures.
 """
@@ -32,7 +32,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         record = measure(Path(name), options.runs)
     for command, seconds in record["seconds"].items():
-        print(f"{command:<14}{seconds['wall']:7.2f} s, {seconds['cpu']:.2f} s of CPU", end="")
+        print(f"{command:<16}{seconds['wall']:7.2f} s, {seconds['cpu']:.2f} s of CPU", end="")
         print(f"; {record['beyond_torch'][command]:.2f} s beyond torch" if command in record["beyond_torch"] else "")
     for command, imports in record["imports_ms"].items():
         print(f"{command}: " + ", ".join(f"{module} {ms:.0f}" for module, ms in imports.items()) + " ms")
@@ -44,11 +44,16 @@ def measure(folder: Path, runs: int) -> dict[str, Any]:
     """Median wall and CPU seconds of each command, each called once before any is timed."""
     vertices, faces = _sphere()
     write_ply(TriangleMesh(vertices, faces), folder / "sphere.ply")
-    program = [sys.executable, "-m", "sdm.cli"]
+    program = [sys.executable, "-m", "sdm"]
     commands = {
         "import torch": [sys.executable, "-c", "import torch"],
         "sdm inspect": [*program, "inspect", "sphere.ply"],
         "sdm compute": [*program, "compute", "sphere.ply", "-o", "sphere.npz", "--resolution", str(RESOLUTION)],
+        "a map in Python": [
+            sys.executable,
+            "-c",
+            f"import sdm; sdm.signed_distance_map(sdm.load_mesh('sphere.ply'), resolution={RESOLUTION})",
+        ],
     }
     for command in commands.values():
         _run(command, folder)
