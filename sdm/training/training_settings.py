@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self, get_type_hints
 
-from sdm.core.given_values import real
+from sdm.core.given_values import real, whole
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.typed_record import as_type
 
@@ -76,6 +76,17 @@ def check_choice(name: str, value: Any, choices: Iterable[Any]) -> None:
     known = list(choices)
     if not isinstance(value, str | int) or value not in known:
         raise SDMError(f"there is no {name} called {value!r}; choose one of {', '.join(map(str, known))}")
+
+
+def check_counts(least: int = 1, **given: Any) -> None:
+    """Refuse what is no whole number from `least` on; None too.
+
+    Raises:
+        SDMError: Names the first.
+    """
+    for name, value in given.items():
+        if whole(value, least) is None:
+            raise SDMError(f"{name.replace('_', ' ')} is {value!r}; it must be {least} or more, and whole")
 
 
 def check_number(

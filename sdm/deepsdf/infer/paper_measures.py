@@ -7,14 +7,17 @@ bounding box has a diagonal of 1 (`sdm.deepsdf.infer.scores` says why).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from sdm.core.mesh import TriangleMesh
+from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.random import derive_seed
 from sdm.deepsdf.samples import surface_points
 from sdm.engine.api import MeshIndex
+from sdm.errors import SDMError
 
 # Points of each surface for the earth mover's distance, and of one surface for the other measures.
 EMD_POINTS, POINTS = 500, 1000
@@ -42,12 +45,25 @@ class PaperMeasures:
     normal_cosine: float
 
 
+def point_set(points: Any) -> np.ndarray:
+    """Points (N,3) float64 on the host.
+
+    Raises:
+        MeshError: They are no numbers.
+        SDMError: They are none, or not (N,3).
+    """
+    at = as_tensor(points, torch.float64, "the points", device=torch.device("cpu"))
+    if at.ndim != 2 or at.shape[1] != 3 or not len(at):
+        raise SDMError(f"points of shape {tuple(at.shape)} have no distance from others: give (N,3)")
+    return at.detach().numpy()
+
+
 def earth_movers_distance(a: Tensor, b: Tensor) -> float:
     """Mean distance of the one-to-one pairing of points a (N,3) and b (N,3) that makes it smallest."""
     from scipy.optimize import linear_sum_assignment
     from scipy.spatial.distance import cdist
 
-    apart = cdist(a.double().cpu().numpy(), b.double().cpu().numpy())
+    apart = cdist(point_set(a), point_set(b))
     return float(apart[linear_sum_assignment(apart)].mean())
 
 

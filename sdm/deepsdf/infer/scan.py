@@ -87,6 +87,13 @@ def _unit(normals: Tensor) -> Tensor:
 
 
 def half_of(points: Tensor, direction: Tensor) -> Tensor:
-    """Mask (N,) of the points (N,3) that a scan from `direction` (3,) keeps: the half of them that is nearest to it."""
+    """Mask (N,) of the points (N,3) that a scan from `direction` (3,) keeps: the half of them that is nearest to it.
+
+    Raises:
+        SDMError: They are no such tensors.
+    """
+    real = isinstance(points, Tensor) and isinstance(direction, Tensor) and points.is_floating_point()
+    if not real or points.ndim != 2 or points.shape[1] != 3 or not len(points) or direction.shape != (3,):
+        raise SDMError("half a scan needs tensors of numbers: points (N,3) and a direction (3,)")
     along = points @ direction.to(points)
     return along > along.median()

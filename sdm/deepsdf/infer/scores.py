@@ -18,10 +18,11 @@ from torch import Tensor
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
-from sdm.deepsdf.infer.paper_measures import PaperMeasures, paper_measures
+from sdm.deepsdf.infer.paper_measures import PaperMeasures, paper_measures, point_set
 from sdm.deepsdf.samples import UnitSphere, surface_points
 from sdm.engine.mesh_index import MeshIndex
 from sdm.metrics import dice
+from sdm.training.training_settings import check_counts
 
 # As J. Park et al., CVPR 2019, section 6.
 POINTS = 30_000
@@ -87,6 +88,7 @@ def score_shape(
         resolution: Voxels along each axis of the grid for the overlap.
     """
     mesh, truth = as_mesh(mesh), as_mesh(truth)
+    check_counts(points=points)
     sphere = sphere or UnitSphere.of(truth)
     own, index = MeshIndex(mesh, truth.device), MeshIndex(truth, truth.device)
     found, right, again = (
@@ -119,4 +121,4 @@ def _mean_squared(a: Tensor, b: Tensor) -> float:
     # On the host whatever the device: 40 ms, where torch.cdist without a matrix product takes a second on a GPU.
     from scipy.spatial import KDTree
 
-    return float((KDTree(b.double().cpu().numpy()).query(a.double().cpu().numpy())[0] ** 2).mean())
+    return float((KDTree(point_set(b)).query(point_set(a))[0] ** 2).mean())

@@ -100,9 +100,16 @@ def interpolation_strip(model: DeepSDF, first: Any, last: Any, *, count: int = 7
 
 
 def save_picture(picture: Tensor, path: str | Path) -> None:
-    """Write a picture (h,w,3) in [0,1] as PNG; needs no display."""
+    """Write a picture (h,w,3) in [0,1] as PNG; needs no display.
+
+    Raises:
+        FormatError: A place that cannot be written.
+        SDMError: No picture.
+    """
     from matplotlib.image import imsave
 
+    if not isinstance(picture, Tensor) or picture.ndim != 3 or picture.shape[2] != 3:
+        raise SDMError(f"an object of type {type(picture).__name__} is no picture: give a tensor (h,w,3)")
     with replacing(as_path(path)) as part:
         imsave(part, picture.cpu().numpy(), format="png")
 

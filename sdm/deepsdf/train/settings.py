@@ -7,7 +7,7 @@ from typing import Any
 
 from sdm.errors import SDMError
 from sdm.training.schedules import cosine_decay, linear_warmup
-from sdm.training.training_settings import TrainingSettings, check_choice, check_number
+from sdm.training.training_settings import TrainingSettings, check_choice, check_counts, check_number
 
 # Share of a cosine schedule in which the rate rises, and where it ends.
 RISE = 0.02
@@ -72,9 +72,8 @@ class Settings(TrainingSettings):
         check_choice("variant", self.variant, VARIANTS)
         check_choice("schedule", self.schedule, ("halving", "cosine"))
         check_choice("precision", self.precision, ("bf16", "tf32", "float32"))
-        for name in ("width", "layers", "global_size", "points", "epochs"):
-            check_number(name, getattr(self, name), least=1)
-        check_number("batch size", self.shapes, least=1)
+        check_counts(**{name: getattr(self, name) for name in ("width", "layers", "global_size", "points", "epochs")})
+        check_counts(batch_size=self.shapes)
         for name in ("clamp", "decoder_rate", "code_rate"):
             check_number(name, getattr(self, name), above=0)
         if self.variant == "published" and self.layers < 5:

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from sdm.errors import SDMError
 from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures, chebyshev
+from sdm.training.training_settings import check_counts
 
 # Samples whose voxels are multiplied at a time.
 CHUNK = 256
@@ -65,6 +66,8 @@ class PODChebyshev(nn.Module):
 
     def __init__(self, modes: int = 256, degree: int = 8) -> None:
         super().__init__()
+        check_counts(modes=modes)
+        check_counts(0, degree=degree)
         self.config = {"modes": modes, "degree": degree}
         self.features = ThetaFeatures()
         self.register_buffer("powers", total_degree(4, degree), persistent=False)

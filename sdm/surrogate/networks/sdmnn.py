@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from sdm.core.given_values import whole
 from sdm.errors import SDMError
 from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
@@ -29,9 +30,10 @@ class SDMNN(nn.Module):
 
     def __init__(self, channels: int = 16) -> None:
         super().__init__()
-        widths = [channels, 2 * channels, 4 * channels]
-        if channels < 2 or any(width % _groups(width) for width in widths):
-            raise SDMError(f"sdmnn has 2, 3, 4, 6, 12 or a multiple of 8 channels, not {channels}")
+        least = whole(channels, 2) or 0
+        widths = [least, 2 * least, 4 * least]
+        if not least or any(width % _groups(width) for width in widths):
+            raise SDMError(f"sdmnn has 2, 3, 4, 6, 12 or a multiple of 8 channels, not {channels!r}")
         self.config = {"channels": channels}
         self.coarse = tuple(n // 2 for n in GRID.shape)
         self.features = ThetaFeatures()

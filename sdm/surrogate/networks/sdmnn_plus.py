@@ -11,6 +11,7 @@ from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
 from sdm.surrogate.networks.voxel_shuffle import merge, split
 from sdm.training.precision import full_precision
+from sdm.training.training_settings import check_counts
 
 # Voxels of the grid along each edge of a block, and of the coarse map.
 FINE, COARSE = 4, 2
@@ -49,6 +50,8 @@ class SDMNNPlus(nn.Module):
         self, modes: int = 208, hidden: int = 256, channels: int = 48, depth: int = 1, pointwise: int = 0
     ) -> None:
         super().__init__()
+        check_counts(modes=modes, hidden=hidden, channels=channels)
+        check_counts(0, depth=depth, pointwise=pointwise)
         self.config = {"modes": modes, "hidden": hidden, "channels": channels, "depth": depth}
         if pointwise:
             self.config["pointwise"] = pointwise

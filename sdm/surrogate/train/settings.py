@@ -19,7 +19,7 @@ from sdm.surrogate.train.end_sampler import Ends
 from sdm.surrogate.train.pointwise_start import with_pointwise
 from sdm.training.budget import check_budget
 from sdm.training.random_numbers import own_random_numbers
-from sdm.training.training_settings import TrainingSettings, check_choice, check_number
+from sdm.training.training_settings import TrainingSettings, check_choice, check_counts, check_number
 
 # Samples that a recipe streams; the paper's is the mixture of 625 static maps and random ones.
 # In "mostly-online" the random ones are denser towards the faces and corners of the box, so as to be good there too;
@@ -106,8 +106,10 @@ class Settings(TrainingSettings):
             raise SDMError(f"{self.model!r} is not trained step by step; use sdmnn or sdmnn-plus")
         check_choice("recipe", self.recipe, RECIPES)
         check_choice("loss", self.loss, ("mse", "surface"))
-        for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
-            check_number(name, getattr(self, name), least=1)
+        check_counts(
+            **{name: getattr(self, name) for name in ("steps", "batch_size", "store", "modes", "sobolev_every")}
+        )
+        check_number("channels", self.channels, least=1)
         for name in ("fresh", "pointwise", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
             check_number(name, getattr(self, name), least=0)
         check_number("learning rate", self.rate, least=0)
