@@ -53,7 +53,13 @@ def sign_problems(facts: Mapping[str, Any]) -> list[str]:
     """Sentences about what makes the sign of a map something else than was meant, the gravest first."""
     found = []
     pieces, wrong = facts["components"], facts["inside_out_components"]
-    if facts["disagreeing_pairs"]:
+    if facts["disagreeing_pairs"] and not facts["turned_area"]:
+        found.append(
+            f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}, and no turn of "
+            f"patches makes them agree, as on a one-sided surface: the sign is not to be trusted near "
+            f"{'it' if facts['disagreeing_edges'] == 1 else 'them'}; {FLOOD} does not ask faces"
+        )
+    elif facts["disagreeing_pairs"]:
         found.append(
             f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}, and "
             f"{100 * facts['turned_area']:.3g} % of the area is turned against the rest: the sign is not to be trusted "
