@@ -8,7 +8,8 @@ from functools import cache
 from pathlib import Path
 
 from sdm.errors import FormatError, MeshError
-from sdm.io import FORMATS, mesh_tree
+from sdm.io import FORMATS
+from sdm.io.meshes.mesh_tree import placed_meshes
 
 DEFAULT_ENDING = "nii.gz"
 
@@ -45,8 +46,8 @@ def plan(meshes: list[Path], out: Path, ending: str | None, default: str = DEFAU
         raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make the folder")
     places = places_in(sources)
     targets = [out / place.with_name(f"{place.name}.{ending or default}") for place in places]
-    for folder in dict.fromkeys([out, *(target.parent for target in targets)]):
-        _make(folder)
+    for folder in dict.fromkeys([str(out), *map(os.path.dirname, targets)]):
+        _make(Path(folder))
     return list(zip(sources, targets, strict=True))
 
 
@@ -57,7 +58,7 @@ def inputs_of(meshes: list[Path]) -> dict[Path, Path]:
     true_folder = cache(os.path.realpath)
     known: set[tuple[str, str]] = set()
     for path in meshes:
-        files = {file: file.relative_to(path) for file in mesh_tree(path)} if path.is_dir() else {path: Path(path.name)}
+        files = dict(placed_meshes(path)) if path.is_dir() else {path: Path(path.name)}
         for file, place in files.items():
             if (where := (true_folder(file.parent), file.name)) not in known:
                 known.add(where)

@@ -77,8 +77,11 @@ def line_of_old(task: MapTask) -> str:
 
 def tasks_of(jobs: list[tuple[Path, Path]]) -> list[MapTask]:
     """Pairs of a mesh file and the map's file, with names: paths below the folder that is common to all meshes."""
-    common = os.path.commonpath([source.parent.absolute() for source, _ in jobs])
-    return [MapTask(source, target, source.absolute().relative_to(common).as_posix()) for source, target in jobs]
+    paths = [str(source.absolute()) for source, _ in jobs]
+    # As text: of a hundred thousand meshes paths take seconds.
+    common = os.path.commonpath({path.rpartition(os.sep)[0] or os.sep for path in paths})
+    names = [path[len(common) :].lstrip(os.sep).replace(os.sep, "/") for path in paths]
+    return [MapTask(source, target, name) for (source, target), name in zip(jobs, names, strict=True)]
 
 
 def _line(task: MapTask, found: Written, settings: Settings) -> str:

@@ -11,6 +11,7 @@ import trimesh
 from sdm.cli import main
 from sdm.errors import MeshError
 from sdm.io import mesh_tree
+from sdm.io.meshes.mesh_tree import placed_meshes
 
 
 @pytest.fixture
@@ -50,13 +51,17 @@ def test_a_folder_that_cannot_be_read_is_refused(folder, monkeypatch):
 
 
 def test_a_folder_whose_names_alone_can_be_read_is_refused(folder, monkeypatch):
-    plain = Path.stat
-
-    def guarded(self: Path, **how: bool) -> os.stat_result:
-        if self.name == "b.ply":
-            raise PermissionError(13, "Permission denied", str(self))
-        return plain(self, **how)
-
-    monkeypatch.setattr(Path, "stat", guarded)
+    plain = os.access
+    monkeypatch.setattr(os, "access", lambda place, mode: Path(place).name != "sub" and plain(place, mode))
     with pytest.raises(MeshError, match=rf"the folder {folder}/sub cannot be read \(Permission denied\), and its"):
         mesh_tree(folder)
+
+
+def test_a_link_to_a_folder_is_followed_once(folder):
+    (folder / "again").symlink_to("sub")
+    (folder / "sub" / "up").symlink_to(folder)
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "c.ply").touch()
+    places = [place.as_posix() for _, place in placed_meshes(folder)]
+    assert places == ["a.ply", "again/b.ply"]
+    assert mesh_tree(folder / "sub" / "..") == [folder / "sub" / ".." / "a.ply", folder / "sub" / ".." / "again/b.ply"]
