@@ -36,7 +36,7 @@ CASES = [
     ("compute ball.ply -o <long>.npz", "File name too long"),
     ("compute ball.ply -o <long>/new.npz", "File name too long"),
     ("compute ball.ply -o .npz", "does not end like a map"),
-    ("compute ball.ply -o /dev/null", "/dev/null cannot be made"),
+    ("compute ball.ply -o /dev/null", "/dev/null is a file, and its name does not end like a map"),
     ("compute ball.ply -o /dev/null/new.npz", "/dev/null is not a folder"),
     ("compute ball.ply -o ball.ply", "does not end like a map"),
     ("compute ball.ply -o map.npz --grid-like map.npz", "is an input too"),
