@@ -54,8 +54,12 @@ def plan(meshes: list[Path], out: Path, ending: str | None, default: str = DEFAU
 def inputs_of(meshes: list[Path]) -> dict[Path, Path]:
     """Mesh files, each once, with their places: the path below the folder that was named, or the name alone."""
     found: dict[Path, Path] = {}
+
+    @cache
+    def true_folder(folder: Path) -> str:
+        return os.path.realpath(folder)
+
     # A file may be named twice in different words: `a.ply` and `../here/a.ply`.
-    true_folder = cache(os.path.realpath)
     known: set[tuple[str, str]] = set()
     for path in meshes:
         files = dict(placed_meshes(path)) if path.is_dir() else {path: Path(path.name)}

@@ -163,7 +163,7 @@ def opened(path: Path, holder: FileHolder | None = None, *, with_lengths: bool =
                     SDMWarning,
                     stacklevel=2,
                 )
-            if with_lengths and (unit := OTHER_UNITS.get(image.header.get_xyzt_units()[0])) is not None:
+            if with_lengths and (unit := OTHER_UNITS.get(str(image.header.get_xyzt_units()[0]))) is not None:
                 warnings.warn(
                     f"{path} counts in {unit}, and so do distances on its grid; files of maps say millimetres all the "
                     f"same, so that other tools take one for the other: give an image in millimetres",
