@@ -189,7 +189,9 @@ def light_to_dark(count: int) -> list[Any]:
 def draw(report: dict[str, Any], path: Path) -> None:
     """Signed over unsigned, mesh by mesh, and the share of voxels that each size of box decides."""
     rows = [found for found in report["rows"] if found["boundary_edges"]]
-    with drawing(path, f"{report['machine']['device']}, {report['resolution']}^3") as (figure, left):
+    told = f"{report['machine']['device']}, {report['resolution']}³: signed maps beside the same meshes' unsigned ones"
+    with drawing(path, told) as (figure, left):
+        figure.text(0.02, 0.965, "What dirt costs", fontsize=14, fontweight="bold", va="center")
         left.set_position((0.24, 0.145, 0.34, 0.76))
         right = figure.add_axes((0.6, 0.145, 0.38, 0.76))
         places = np.arange(len(rows))[::-1]
@@ -201,7 +203,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
         left.minorticks_off()
         left.axvline(3, color="0.6", linewidth=0.8)
         left.set_xlim(0.95, 1.1 * max(3.0, *(found["ratio"] for found in rows)))
-        left.set_xlabel("signed map / distances alone")
+        left.set_xlabel("times the unsigned map (line: 3)")
         start = np.zeros(len(rows))
         # From boxes that decide much at once, light, to voxels by themselves, dark.
         shades = light_to_dark(len(DECIDED))
@@ -209,7 +211,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
             share = np.array(
                 [found["looked_at"]["shares"].get(name, 0.0) if found["looked_at"] else 0 for found in rows]
             )
-            right.barh(places, share, left=start, label=name, color=shade)
+            right.barh(places, share, left=start, label=name.replace("^3", "³"), color=shade)
             start += share
         right.set_yticks([])
         right.set_xlabel("share of voxels decided by boxes of")

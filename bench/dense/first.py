@@ -116,6 +116,8 @@ def _medians(found: list[tuple[float, float]]) -> tuple[float, float]:
 
 def draw(report: dict[str, Any], path: Path) -> None:
     """Milliseconds against voxels along an axis: first calls as lines, repeated ones dashed."""
+    from matplotlib.ticker import LogLocator
+
     with drawing(path, f"{report['machine']['device']}: first call and, dashed, repeated call") as (_, axes):
         hues = (*PALETTE, *reversed(SPARE))
         sizes: list[int] = sorted({found["resolution"] for found in report["rows"]})
@@ -128,6 +130,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
         log_axes(axes)
         axes.set_xticks(sizes, [str(size) for size in sizes])
         axes.minorticks_off()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         plain_ticks(axes.yaxis)
         axes.set_xlabel("voxels along each axis")
         axes.set_ylabel("milliseconds of a map")

@@ -104,7 +104,7 @@ class Maps:
     """Question about each mesh of a list: its map on a grid around it."""
 
     what, of_each = "maps", "resolution"
-    told: ClassVar[str] = "{}^3"
+    told: ClassVar[str] = "{}³"
 
     def __init__(self, cases: Sequence[Case], size: int, device: str) -> None:
         self.cases, self.size, self.device = cases, size, device
@@ -250,7 +250,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
         for place, way in enumerate(ways):
             at = [i + (place - (len(ways) - 1) / 2) * 0.2 for i in range(len(report["rows"]))]
             bars = axes.bar(at, [found[way] for found in report["rows"]], 0.18, label=WAYS[way])
-            axes.bar_label(bars, fmt="%.0f", fontsize=8)
+            axes.bar_label(bars, fmt="{:,.0f}", fontsize=8)
         axes.set_xticks(
             range(len(report["rows"])),
             [

@@ -25,3 +25,4 @@ def draw(times: StageTimes, path: Path, caption: str) -> None:
         axes.set_yticks(range(len(rows)), [f"{stages[stage]} {thread + 1}" for stage, thread in rows])
         axes.invert_yaxis()
         axes.set_xlabel("seconds since the start")
+        axes.set_title("Stages of a pipeline, beside each other", loc="left")
