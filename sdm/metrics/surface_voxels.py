@@ -58,13 +58,13 @@ def surface_distances(prediction: Mask, truth: Mask, spacing_mm: float | Sequenc
     """
     prediction, truth = masks(prediction, truth)
     spacing = spacing_of(spacing_mm)
-    box = _box(prediction | truth)
+    box = foreground_box(prediction | truth)
     surface = surface_voxels(prediction)[box], surface_voxels(truth)[box]
     to_prediction, to_truth = (euclidean_distance_transform(s, spacing, missing=math.inf) for s in surface)
     return SurfaceDistances(to_truth[surface[0]], to_prediction[surface[1]])
 
 
-def _box(mask: Tensor) -> tuple[slice, slice, slice]:
+def foreground_box(mask: Tensor) -> tuple[slice, slice, slice]:
     """The part of the volume that holds all foreground; one voxel if there is none."""
     slices = []
     for axis in range(3):

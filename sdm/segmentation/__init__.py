@@ -12,6 +12,7 @@ from sdm.segmentation.data.shape_labels import read_shapes
 from sdm.segmentation.data.synthetic_patches import SyntheticPatches
 from sdm.segmentation.data.write_prediction import write_prediction
 from sdm.segmentation.infer.ensemble import check_ensemble, predict_ensemble
+from sdm.segmentation.infer.label_scores import LabelScores, score_labels
 from sdm.segmentation.infer.predict import Prediction, label_distance_map, largest_component, predict
 from sdm.segmentation.infer.scores import cell, scores_of, table
 from sdm.segmentation.infer.sliding_window import sliding_window
@@ -26,6 +27,7 @@ __all__ = [
     "MA_ROWS",
     "METHODS",
     "Case",
+    "LabelScores",
     "Method",
     "Patches",
     "Prediction",
@@ -49,6 +51,7 @@ __all__ = [
     "read_cases",
     "read_shapes",
     "save_model",
+    "score_labels",
     "scores_of",
     "sliding_window",
     "table",

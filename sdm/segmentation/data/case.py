@@ -17,7 +17,7 @@ class Case:
     Args:
         name: How messages and tables call it.
         image: (x,y,z) float32, as read.
-        label: (x,y,z) bool, or None where there is none.
+        label: (x,y,z) bool, or whole numbers where classes were asked for; None where there is none.
         spacing: Size of a voxel along each axis in mm; 1 where the file does not say.
         affine: (4,4) from voxel indices to the scanner's coordinates.
         source: The image's file.

@@ -54,14 +54,14 @@ def has_part(folder: Path, part: str) -> bool:
     return bool(hdf5_files(folder / plain) or nifti_files(folder / images))
 
 
-def read_image(path: Path) -> Case:
-    """One HDF5 or NIfTI file, without a label of its own if NIfTI.
+def read_image(path: Path, *, classes: bool = False) -> Case:
+    """One HDF5 or NIfTI file, without a label of its own if NIfTI; `classes` as for `read_hdf5`.
 
     Raises:
         FormatError: It is neither, or cannot be read.
     """
     if path.suffix.lower() in HDF5:
-        return read_hdf5(path)
+        return read_hdf5(path, classes=classes)
     if path.name.endswith(ENDINGS):
         return read_nifti(path, name=stem_of(path).removesuffix(CHANNEL))
     raise FormatError(f"{path} is neither NIfTI (.nii, .nii.gz) nor HDF5 (.h5)")

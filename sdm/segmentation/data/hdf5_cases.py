@@ -12,7 +12,7 @@ from sdm.core.device import require_memory
 from sdm.errors import FormatError, SDMError, one_line
 from sdm.io.files.list_files import visible
 from sdm.segmentation.data.case import Case
-from sdm.segmentation.data.labels import foreground
+from sdm.segmentation.data.labels import class_numbers, foreground
 
 if TYPE_CHECKING:
     import h5py
@@ -25,11 +25,11 @@ def hdf5_files(folder: Path) -> list[Path]:
     return [p for p in visible(folder) if p.suffix.lower() in ENDINGS] if folder.is_dir() else []
 
 
-def read_hdf5(path: Path) -> Case:
+def read_hdf5(path: Path, *, classes: bool = False) -> Case:
     """One case: `image` (x,y,z) of any number type, `label` (x,y,z) if there is one.
 
     The left-atrium data of Yu et al. (UA-MT) has this layout and does not tell the size of a voxel; an attribute
-    `spacing` of the file, three lengths in mm, does.
+    `spacing` of the file, three lengths in mm, does. With `classes` the label keeps its whole numbers, and is no mask.
 
     Raises:
         FormatError: The file cannot be read, has no `image`, or something there is not of numbers or lies in another
@@ -64,7 +64,7 @@ def read_hdf5(path: Path) -> Case:
     return Case(
         name=path.stem,
         image=torch.from_numpy(image.astype(np.float32)),
-        label=None if label is None else torch.from_numpy(foreground(label, path)),
+        label=None if label is None else torch.from_numpy((class_numbers if classes else foreground)(label, path)),
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=np.diag([*spacing, 1.0]),
         source=path,

@@ -1,4 +1,4 @@
-"""Foreground of a label."""
+"""Foreground and classes of a label."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from sdm.errors import FormatError
 
+# More values than any atlas has: an image, or a map.
+MOST_CLASSES = 2000
 # Scaled integers come back a little beside whole numbers.
 ROUNDING = 1e-3
 
@@ -31,3 +34,27 @@ def foreground(values: np.ndarray, path: Path) -> NDArray[np.bool_]:
         value = values.flat[int(beside.argmax())]
         raise FormatError(f"{path} is no label, for it has values such as {value:.4g}: threshold probabilities first")
     return whole != 0
+
+
+def class_numbers(values: np.ndarray, path: Path) -> NDArray[np.integer]:
+    """The whole number of each voxel of a label, 0 for the background, int32 (int64 where one is larger).
+
+    Raises:
+        FormatError: As by `foreground`.
+    """
+    foreground(values, path)
+    whole = np.round(values) if values.dtype.kind == "f" else values
+    large = whole.size > 0 and max(float(whole.max()), -float(whole.min())) >= 2**31
+    return whole.astype(np.int64 if large else np.int32)
+
+
+def classes_of(label: Tensor, path: Path) -> tuple[int, ...]:
+    """The numbers in a label but 0, in order.
+
+    Raises:
+        FormatError: There are more than `MOST_CLASSES`.
+    """
+    found = tuple(value for value in label.unique().tolist() if value != 0)
+    if len(found) > MOST_CLASSES:
+        raise FormatError(f"{path} has {len(found):,} different values, so it is no label: give one of labels")
+    return found

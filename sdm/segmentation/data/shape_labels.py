@@ -28,7 +28,7 @@ def read_shapes(folder: Path, spacing: Sequence[float]) -> list[Tensor]:
         raise FormatError(f"{folder} is not there")
     found = []
     for name, path in labels_of(folder).items():
-        case = read_image(path)
+        case = read_image(path, classes=True)
         label = mask_of(case)
         if not same_spacing(case.spacing, spacing):
             raise SDMError(f"{path} has voxels of {voxel(case.spacing)} mm, the cases of {voxel(spacing)}: resample it")

@@ -44,6 +44,16 @@ def scores_of(prediction: Tensor, truth: Tensor, spacing_mm: Sequence[float]) ->
     return asdict(scores)
 
 
+def mean_of(cases: Sequence[Mapping[str, float | bool]]) -> dict[str, float | bool]:
+    """Means of scores over their finite values, as one case: infinite where all are, NaN where none says anything."""
+    means: dict[str, float | bool] = {}
+    for column in COLUMNS:
+        values = [float(case[column]) for case in cases if not math.isnan(case[column])]
+        finite = [value for value in values if math.isfinite(value)]
+        means[column] = statistics.fmean(finite) if finite else math.inf if values else math.nan
+    return {**means, "failed": any(case["failed"] for case in cases)}
+
+
 def cell(cases: Sequence[Mapping[str, float | bool]], column: str) -> Cell:
     """One cell of a table.
 
