@@ -7,14 +7,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from sdm.cli.common.argument_types import Device, options_given
+from sdm.cli.common.argument_types import Device, Ending, options_given
 from sdm.cli.common.numbers import numbers
 from sdm.cli.common.printed_line import print_line
 
 REPORT = "report.json"
 # Options that each say what the grid is.
 GRIDS = ("--resolution", "--spacing", "--grid-like")
-Ending = Literal["nii.gz", "nii", "npz", "nrrd", "mha", "mhd", "vti", "zarr", "nvdb"]
 
 
 def compute(
@@ -179,15 +178,17 @@ def _label_maps(source: Path, out: Path, given: list[str], sign: str, device: st
         GridError: A grid is given, which is the volume's own.
         SDMError: An option is given that says something of meshes alone.
     """
-    from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
+    from sdm.cli.common.label_maps import LabelMaps, refuse_mesh_options, write_label_maps
     from sdm.core.device import choose_device
-    from sdm.errors import GridError
+    from sdm.errors import GridError, SDMError
 
     for name in (name for name in GRIDS if name in given):
         raise GridError(f"{source} is a label volume, whose maps are on its own grid: leave out {name}")
     ours = ("--device", "--sign") if sign == "none" else ("--device",)
     refuse_mesh_options(source, [f"--sign {sign}" if name == "--sign" else name for name in given if name not in ours])
-    write_label_maps(source, out, signed=sign != "none", device=choose_device(device))
+    if source.is_dir() and source.suffix.lower() != ".zarr":
+        raise SDMError(f"{source} is a folder; give one label volume")
+    write_label_maps(source, out, LabelMaps(signed=sign != "none", device=choose_device(device)))
 
 
 def _tell_if_not_placed(image: Path) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
+# Of files of maps.
+Ending = Literal["nii.gz", "nii", "npz", "nrrd", "mha", "mhd", "vti", "zarr", "nvdb"]
 
 
 def options_given(command: Callable[..., Any], values: Mapping[str, Any]) -> list[str]:

@@ -13,7 +13,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sdm compute soup.obj -o soup.npz --sign flood --hole-size 2.0",
         "sdm compute bunny.ply -o band.nvdb --resolution 1024 --band 3",
     ),
-    "edt": ("sdm edt organs.nii.gz -o maps.nii.gz", "sdm edt organs.nii.gz -o liver.nii.gz --classes 6 --smooth 1.0"),
+    "edt": (
+        "sdm edt organs.nii.gz -o maps.nii.gz",
+        "sdm edt organs.nii.gz -o liver.nii.gz --classes 6 --smooth 1.0",
+        "sdm edt labels -o maps --format npz",
+    ),
     "watertight": (
         "sdm watertight soup.obj -o closed.ply",
         "sdm watertight meshes -o closed --resolution 256 --resume",

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from sdm.cli.common.failed_item import reason_of, tell_failed
 from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.common.output_files import VOLUMES, plan
 from sdm.cli.common.printed_line import counted, print_line
+from sdm.cli.common.progress import FileProgress
 from sdm.core.signed_distance_map import SDM
 from sdm.deepsdf.samples.label_surface import label_map
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.errors import SDMError
 from sdm.io import check_target, load, save
+from sdm.io.files.stand_in import fetched, shown
 from sdm.io.maps.formats import FORMATS
+from sdm.runtime.pipeline.outcome import Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.stages import numbered, one_by_one
 
 # Whole numbers of float32, as which images are read.
 LARGEST = 1 << 24
@@ -33,21 +43,11 @@ def refuse_mesh_options(source: Path, options: list[str]) -> None:
         )
 
 
-def write_label_maps(
-    source: Path,
-    out: Path,
-    *,
-    classes: list[int] | None = None,
-    surface: str = "faces",
-    signed: bool = True,
-    smooth: float | None = None,
-    device: torch.device,
-) -> None:
-    """Write a map for each class of a label volume, and say so, a line each.
+@dataclass(frozen=True, kw_only=True)
+class LabelMaps:
+    """Options of the maps of label volumes.
 
     Args:
-        source: The volume.
-        out: The file of a single class, after which those of several are named.
         classes: Their values; all that are there but 0 if not given.
         surface: As for `sdm.euclidean_distance_transform`.
         signed: As there.
@@ -55,38 +55,101 @@ def write_label_maps(
         device: Where to compute.
 
     Raises:
-        SDMError: Values that are no labels, none to measure, or options that contradict each other.
+        SDMError: Options that contradict each other.
+    """
+
+    classes: list[int] | None = None
+    surface: str = "faces"
+    signed: bool = True
+    smooth: float | None = None
+    device: torch.device
+
+    def __post_init__(self) -> None:
+        if self.smooth is not None and not self.signed:
+            raise SDMError("--smooth gives signed maps of a surface: leave out --unsigned")
+        if self.smooth is not None and self.surface != "faces":
+            raise SDMError("--smooth measures to a surface of its own: leave out --surface")
+
+
+def write_maps_of_volumes(volumes: list[Path], out: Path, options: LabelMaps, ending: str | None = None) -> int | None:
+    """Write the maps of label volumes, one volume after the other; the exit code, 2 if some failed.
+
+    Args:
+        volumes: Files, and folders of them.
+        out: A file for one volume, or a folder, in which every map has its class in its name, so that no two are alike.
+        options: What is measured.
+        ending: The format that was requested for maps in a folder.
+
+    Raises:
+        SDMError: As by `write_label_maps` of a volume that is the only one.
+        FormatError: Likewise, or outputs that cannot be planned (see `plan`), or a full disk.
+    """
+    jobs = plan(volumes, out, ending, kind=VOLUMES)
+    if jobs[0][1] == out:
+        write_label_maps(jobs[0][0], out, options)
+        return None
+    place = os.path.realpath(out)
+    # What is written can only be one of these.
+    near = [source for source, _ in jobs if os.path.realpath(source).startswith(f"{place}{os.sep}")]
+    failed: list[tuple[str, str]] = []
+    with FileProgress(len(jobs)) as progress:
+
+        def write(job: tuple[Path, Path]) -> None:
+            progress.begin(job[0].name)
+            with fetched(job[0]):
+                write_label_maps(*job, options, always_named=True, inputs=near)
+
+        for outcome in one_by_one(numbered(jobs), "maps", write, times=StageTimes()):
+            if isinstance(outcome, Failed):
+                reason = reason_of(outcome, alone=len(jobs) == 1, resumed=False)
+                failed.append((shown(jobs[outcome.number][0]), reason))
+            progress.end()
+    return tell_failed(failed, len(jobs), VOLUMES.one, VOLUMES.many)
+
+
+def write_label_maps(
+    source: Path, out: Path, options: LabelMaps, *, always_named: bool = False, inputs: Sequence[Path] = ()
+) -> None:
+    """Write a map for each class of a label volume, and say so, a line each.
+
+    Args:
+        source: The volume.
+        out: The file of a single class, after which those of several are named.
+        options: What is measured.
+        always_named: Whether a single class is in its file's name, too.
+        inputs: Other files that are not to be written over.
+
+    Raises:
+        SDMError: Values that are no labels, or none to measure.
         FormatError: A file that cannot be read or written.
     """
-    if smooth is not None and not signed:
-        raise SDMError("--smooth gives signed maps of a surface: leave out --unsigned")
-    if smooth is not None and surface != "faces":
-        raise SDMError("--smooth measures to a surface of its own: leave out --surface")
-    if source.is_dir() and source.suffix.lower() != ".zarr":
-        raise SDMError(f"{source} is a folder; give one label volume")
     check_target(out)
     field = load(source)
+    if not isinstance(field, SDM):
+        raise SDMError(f"{source} holds a narrow band, so it is no label volume: give one of labels")
     labels = _labels_of(field, source)
-    values = _classes_of(labels, classes, source)
-    targets = [out] if len(values) == 1 else [_named(out, value) for value in values]
-    refuse_inputs(targets, [source])
+    values = _classes_of(labels, options.classes, source)
+    targets = [out] if len(values) == 1 and not always_named else [_named(out, value) for value in values]
+    refuse_inputs(targets, [source, *inputs])
     for target in targets:
         check_target(target)
-    where = labels.to(device)
+    where = labels.to(options.device)
     for value, target in zip(values, targets, strict=True):
         begin = time.perf_counter()
         mask = where == value
-        if signed and smooth is None and bool(mask.all()):
+        if options.signed and options.smooth is None and bool(mask.all()):
             raise SDMError(f"every voxel of {source} is of class {value}, so that it has no surface to measure from")
-        if smooth is None:
-            found = euclidean_distance_transform(mask, field.grid.spacing, signed=signed, surface=surface)
-            made = SDM(found, field.grid, sign=None if signed else "none")
+        if options.smooth is None:
+            found = euclidean_distance_transform(
+                mask, field.grid.spacing, signed=options.signed, surface=options.surface
+            )
+            made = SDM(found, field.grid, sign=None if options.signed else "none")
         else:
-            made = label_map(mask, field.grid, smoothing=smooth)
+            made = label_map(mask, field.grid, smoothing=options.smooth)
         save(made, target)
         print_line(
             f"{source.name}: class {value}, {counted(int(mask.sum()), 'voxel')}, {field.grid.summary}, "
-            f"{time.perf_counter() - begin:.2f} s on {device}, written to {target}"
+            f"{time.perf_counter() - begin:.2f} s on {options.device}, written to {shown(target)}"
         )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.common.printed_line import print_line, printable
+from sdm.cli.common.failed_item import tell_failed
+from sdm.cli.common.printed_line import print_line
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
@@ -110,12 +111,4 @@ def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
         for line in failures_table(entries):
             print_line(line)
         return None
-    for entry in failed:
-        # Most sentences name the file already.
-        named = entry.reason if printable(entry.mesh) in (entry.reason or "") else f"{entry.mesh}: {entry.reason}"
-        print_line(f"sdm: {named}", error=True)
-    if failed:
-        others = "; the others are done" if len(failed) < len(entries) else ""
-        of_all = f"{len(failed)} of {len(entries)} meshes" if len(entries) > 1 else "the only mesh"
-        print_line(f"sdm: {of_all} failed{others}", error=True)
-    return 2 if failed else None
+    return tell_failed([(entry.mesh, entry.reason or "") for entry in failed], len(entries), "mesh", "meshes")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from sdm.cli.common.inputs import refuse_inputs, refuse_twice
-from sdm.cli.common.output_files import inputs_of, places_in
+from sdm.cli.common.output_files import inputs_of, places_in, without_outputs
 from sdm.cli.common.printed_line import counted
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
@@ -39,13 +38,7 @@ def targets_of(meshes: list[Path], out: Path, ending: str | None) -> tuple[list[
         MeshError: No mesh at all.
         FormatError: Several surfaces for one file, another format than that of the file, or one to write over a mesh.
     """
-    sources = inputs_of(meshes)
-    place = os.path.realpath(out)
-    if any(place.startswith(f"{os.path.realpath(path)}{os.sep}") for path in meshes):
-        # Surfaces that a run before has written into a folder of what it read are no meshes to close.
-        real = {folder: os.path.realpath(folder) for folder in {file.parent for file in sources}}
-        own = {folder for folder, there in real.items() if f"{there}{os.sep}".startswith(f"{place}{os.sep}")}
-        sources = {file: name for file, name in sources.items() if file in meshes or file.parent not in own}
+    sources = without_outputs(inputs_of(meshes), meshes, out)
     if not sources:
         where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")

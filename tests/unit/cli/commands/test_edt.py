@@ -99,3 +99,103 @@ def test_compute_refuses_what_only_meshes_take(labels, words, named, capsys):
     assert main(["compute", "labels.nii.gz", "-o", "maps.nii.gz", "--device", "cpu", *words]) == 2
     assert f"{named} is for meshes" in capsys.readouterr().err
     assert not list(Path().glob("maps*"))
+
+
+def _tree(folder: str, values: np.ndarray, *names: str) -> None:
+    for name in names:
+        (Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+        sdm.save(sdm.SDM(values.astype(np.float32), sdm.Grid.from_affine(AFFINE, values.shape)), f"{folder}/{name}")
+
+
+def _written(folder: str) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in Path(folder).rglob("*.n*"))
+
+
+def test_a_folder_lies_as_it_lay_and_a_bad_volume_stops_no_other(labels, capsys):
+    _tree("in", labels, "a.nii.gz", "sub/deep/b.nrrd")
+    _tree("in", 0.5 * labels, "ct.nii.gz")
+    Path("in/.hidden.nii.gz").write_bytes(b"")
+    Path("in/broken.nii.gz").write_bytes(b"no image")
+    Path("in/notes.txt").write_text("no volume")
+    assert main(["edt", "in", "-o", "out", "--device", "cpu"]) == 2
+    said = capsys.readouterr()
+    assert _written("out") == ["a_1.nii.gz", "a_7.nii.gz", "sub/deep/b_1.nii.gz", "sub/deep/b_7.nii.gz"]
+    assert main(["edt", "labels.nii.gz", "-o", "one.nii.gz", "--device", "cpu"]) == 0
+    assert sdm.load("out/a_7.nii.gz").values.equal(sdm.load("one_7.nii.gz").values)
+    lines = said.err.splitlines()
+    assert len(lines) == 3
+    assert "in/broken.nii.gz" in lines[0]
+    assert "in/ct.nii.gz holds other values than whole numbers" in lines[1]
+    assert lines[2] == "sdm: 2 of 4 label volumes failed; the others are done"
+
+
+def test_no_two_maps_of_a_folder_have_one_name(labels):
+    """Also where a volume is called as another one's map would be."""
+    one = np.where(labels == 1, 1, 0)
+    _tree("in", labels, "a.nii.gz", "a.nrrd", "b.nii.gz")
+    _tree("in", one, "b_1.nii.gz")
+    _tree("other", one, "c.nii.gz")
+    assert main(["edt", "in", "other/c.nii.gz", "-o", "out", "--format", "npz", "--device", "cpu"]) == 0
+    assert _written("out") == [
+        "a.nii.gz_1.npz",
+        "a.nii.gz_7.npz",
+        "a.nrrd_1.npz",
+        "a.nrrd_7.npz",
+        "b_1.npz",
+        "b_1_1.npz",
+        "b_7.npz",
+        "c_1.npz",
+    ]
+
+
+def test_files_of_one_name_from_two_folders(labels):
+    for folder in ("x", "y"):
+        _tree(folder, labels, "a.nii.gz")
+    words = ["edt", "x/a.nii.gz", "y/a.nii.gz", "./x/a.nii.gz", "-o", "out", "--classes", "7", "--device", "cpu"]
+    assert main(words) == 0
+    assert _written("out") == ["x/a_7.nii.gz", "y/a_7.nii.gz"]
+
+
+def test_zarr_volumes_are_files_of_a_folder(labels):
+    _tree("in", labels, "a.zarr")
+    for words in (["in", "-o", "out"], ["in/a.zarr", "-o", "one"]):
+        assert main(["edt", *words, "--device", "cpu"]) == 0
+        assert _written(words[-1]) == ["a_1.nii.gz", "a_7.nii.gz"]
+
+
+def test_maps_of_a_run_before_are_no_labels(labels, capsys):
+    _tree("in", labels, "a.nii.gz")
+    for _ in range(2):
+        assert main(["edt", "in", "-o", "in/maps", "--device", "cpu"]) == 0
+        assert _written("in") == ["a.nii.gz", "maps/a_1.nii.gz", "maps/a_7.nii.gz"]
+    capsys.readouterr()
+    assert main(["edt", "in", "-o", "in"]) == 2
+    assert "in is the folder of the label volumes: name another one" in capsys.readouterr().err
+
+
+def test_a_volume_is_not_written_over(labels, capsys):
+    """The map of one would be the file of another; that one fails, and the others are done."""
+    _tree("all/in", labels, "a.nii.gz")
+    _tree("all", labels, "a_7.nii.gz")
+    before = Path("all/a_7.nii.gz").read_bytes()
+    assert main(["edt", "all/in", "all/a_7.nii.gz", "-o", "all", "--device", "cpu"]) == 2
+    assert "all/a_7.nii.gz is an input too" in capsys.readouterr().err
+    assert Path("all/a_7.nii.gz").read_bytes() == before
+    assert Path("all/a_7_7.nii.gz").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("edt in labels.nii.gz -o m.npz", "several label volumes need a folder to write to"),
+        ("edt empty -o out", "no volume was found in empty"),
+        ("edt in -o labels.nii.gz/out", "cannot be made"),
+    ],
+)
+def test_what_is_refused_of_folders(labels, words, message, capsys):
+    _tree("in", labels, "a.nii.gz")
+    Path("empty").mkdir()
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
