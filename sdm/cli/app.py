@@ -32,6 +32,7 @@ COMMANDS = (
     "inspect",
     "compute",
     "edt",
+    "surface",
     "watertight",
     "generate",
     "sample",
@@ -53,8 +54,10 @@ COMMANDS = (
     "bench",
 )
 
-# Of commands whose module is not called like them.
+# Of commands whose module lies elsewhere, or is not called like them.
 MODULES = {
+    "view": "viewing.view",
+    "explore": "viewing.explore",
     "family": "families.family_commands",
     "shape-model": "families.model_commands",
     "doctor": "setup.doctor",
@@ -79,6 +82,7 @@ RESUMABLE = (["compute"], ["generate"], ["sample"], ["watertight"], ["train", "d
 WITH_KERNELS = (
     "compute",
     "edt",
+    "surface",
     "watertight",
     "generate",
     "sample",

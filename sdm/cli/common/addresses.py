@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from sdm.cli.common.usage_error import UsageError
 
 # Commands that read and write file by file.
-COMMANDS = ("inspect", "compute", "edt", "watertight", "generate", "sample")
+COMMANDS = ("inspect", "compute", "edt", "surface", "watertight", "generate", "sample")
 # Options whose value is written, and those whose value is no file.
 OUTPUTS, OTHERS = ("-o", "--out", "--report"), ("--ray",)
 

@@ -18,6 +18,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sdm edt organs.nii.gz -o liver.nii.gz --classes 6 --smooth 1.0",
         "sdm edt labels -o maps --format npz",
     ),
+    "surface": (
+        "sdm surface bunny.nii.gz -o bunny.ply",
+        "sdm surface organs.nii.gz -o liver.stl --label 6 --smooth 1.0",
+        "sdm surface maps -o meshes --format obj",
+    ),
     "watertight": (
         "sdm watertight soup.obj -o closed.ply",
         "sdm watertight meshes -o closed --resolution 256 --resume",

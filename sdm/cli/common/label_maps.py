@@ -16,8 +16,8 @@ from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.output_files import VOLUMES, plan
 from sdm.cli.common.printed_line import counted, print_line
 from sdm.cli.common.progress import FileProgress
+from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
-from sdm.deepsdf.samples.label_surface import label_map
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.errors import SDMError
 from sdm.io import check_target, load, save
@@ -127,8 +127,8 @@ def write_label_maps(
     field = load(source)
     if not isinstance(field, SDM):
         raise SDMError(f"{source} holds a narrow band, so it is no label volume: give one of labels")
-    labels = _labels_of(field, source)
-    values = _classes_of(labels, options.classes, source)
+    labels = labels_of(field, source)
+    values = classes_of(labels, options.classes, source)
     targets = [out] if len(values) == 1 and not always_named else [_named(out, value) for value in values]
     refuse_inputs(targets, [source, *inputs])
     for target in targets:
@@ -136,31 +136,54 @@ def write_label_maps(
     where = labels.to(options.device)
     for value, target in zip(values, targets, strict=True):
         begin = time.perf_counter()
-        mask = where == value
-        if options.signed and options.smooth is None and bool(mask.all()):
-            raise SDMError(f"every voxel of {source} is of class {value}, so that it has no surface to measure from")
-        if options.smooth is None:
-            found = euclidean_distance_transform(
-                mask, field.grid.spacing, signed=options.signed, surface=options.surface
-            )
-            made = SDM(found, field.grid, sign=None if options.signed else "none")
-        else:
-            made = label_map(mask, field.grid, smoothing=options.smooth)
-        save(made, target)
+        save(class_map(where, value, field.grid, source, options), target)
         print_line(
-            f"{source.name}: class {value}, {counted(int(mask.sum()), 'voxel')}, {field.grid.summary}, "
+            f"{source.name}: class {value}, {counted(int((where == value).sum()), 'voxel')}, {field.grid.summary}, "
             f"{time.perf_counter() - begin:.2f} s on {options.device}, written to {shown(target)}"
         )
 
 
-def _labels_of(field: SDM, source: Path) -> torch.Tensor:
+def class_map(labels: torch.Tensor, value: int, grid: Grid, source: Path, options: LabelMaps) -> SDM:
+    """The distance map of a class of the volume `source`, on the device of its labels (nx,ny,nz).
+
+    Raises:
+        SDMError: The class fills the volume, or a smoothing that leaves nothing of it.
+    """
+    mask = labels == value
+    if options.smooth is not None:
+        # Its package imports what all else here needs none of.
+        from sdm.deepsdf.samples.label_surface import label_map
+
+        return label_map(mask, grid, smoothing=options.smooth)
+    if options.signed and bool(mask.all()):
+        raise SDMError(f"every voxel of {source} is of class {value}, so that it has no surface to measure from")
+    found = euclidean_distance_transform(mask, grid.spacing, signed=options.signed, surface=options.surface)
+    return SDM(found, grid, sign=None if options.signed else "none")
+
+
+def looks_like_labels(values: torch.Tensor) -> bool:
+    """True if values are whole numbers and none is below 0."""
+    return bool((values >= 0).all()) and bool((values == values.round()).all())
+
+
+def labels_of(field: SDM, source: Path) -> torch.Tensor:
+    """The labels (nx,ny,nz) int32 of a volume.
+
+    Raises:
+        SDMError: Its values are no whole numbers.
+    """
     values = field.values
     if not bool((values == values.round()).all()) or float(values.abs().max()) > LARGEST:
         raise SDMError(f"{source} holds other values than whole numbers, so it is no label volume: give one of labels")
     return values.int()
 
 
-def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -> list[int]:
+def classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -> list[int]:
+    """Those of the wanted classes, each once, or all of labels on the host but 0.
+
+    Raises:
+        SDMError: A class that is not there, or none at all.
+    """
     there = [int(value) for value in np.unique(labels.numpy()) if value != 0]
     if classes is None:
         if not there:

@@ -74,7 +74,7 @@ def ending_of(path: Path) -> str:
         if is_map_name(path):
             raise MeshError(
                 f"{path} ends like an image or a map, not like a mesh: sdm edt takes label volumes, one at a time, and "
-                "sdm.load(...).to_mesh() makes the surface of a map"
+                "sdm surface makes meshes of them and of maps"
             )
         ending = f"the ending {path.suffix}" if path.suffix else "a name without an ending"
         raise MeshError(f"{path} is no mesh by {ending}; known are .{', .'.join(known_endings())}")

@@ -68,7 +68,7 @@ def test_help_says_what_is_so(words, said, capsys):
     assert said in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
-@pytest.mark.parametrize("name", ["compute", "edt", "view", "decode", "predict"])
+@pytest.mark.parametrize("name", ["compute", "edt", "surface", "view", "decode", "predict"])
 def test_help_names_every_format_of_maps(name, capsys):
     assert main([name, "--help"]) == 0
     said = capsys.readouterr().out

@@ -193,6 +193,15 @@ def test_watertight(base, capsys):
     assert capsys.readouterr().out.count("is there already") == 3
 
 
+def test_surface(base, tmp_path):
+    words = ["--resolution", "16", "--device", "cpu"]
+    assert main(["compute", f"{base}/meshes", "-o", f"{base}/maps", *words]) == 0
+    assert main(["compute", str(tmp_path / "meshes"), "-o", str(tmp_path / "maps"), *words]) == 0
+    assert main(["surface", f"{base}/maps", "-o", f"{base}/surfaces", "--device", "cpu"]) == 0
+    assert main(["surface", str(tmp_path / "maps"), "-o", str(tmp_path / "surfaces"), "--device", "cpu"]) == 0
+    assert there(f"{base}/surfaces") == here(tmp_path / "surfaces")
+
+
 def test_what_is_refused(base, capsys):
     assert main(["view", f"{base}/meshes/class1/1/model.ply", "-o", "x.png"]) == 2
     assert f"copy {base}/meshes/class1/1/model.ply here first" in capsys.readouterr().err

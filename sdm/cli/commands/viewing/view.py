@@ -32,6 +32,7 @@ def view(
         out: Draw a picture in place of opening a window; needs no display.
         device: Where a mesh's map is computed: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    from sdm.cli.common.label_maps import looks_like_labels
     from sdm.core.device import choose_device
     from sdm.core.grid import Grid
     from sdm.engine.api import signed_distance_map
@@ -46,7 +47,7 @@ def view(
         if resolution is not None:
             raise GridError(f"{file} is a map, which has its own voxels: leave out --resolution")
         field = load(file)
-        if level == 0 and bool((field.values >= 0).all()) and bool((field.values == field.values.round()).all()):
+        if level == 0 and looks_like_labels(field.values):
             raise SDMError(f"{file} looks like a label volume: sdm edt makes the distance maps of its classes")
         show(field, level=level, picture=out)
         return

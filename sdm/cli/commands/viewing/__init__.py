@@ -1,0 +1,1 @@
+"""Commands that show maps: in a window, and in a browser."""
