@@ -161,6 +161,28 @@ def class_map(labels: torch.Tensor, value: int, grid: Grid, source: Path, option
     return SDM(found, grid, sign=None if options.signed else "none")
 
 
+def around_class(labels: torch.Tensor, value: int, grid: Grid, reach: float) -> tuple[torch.Tensor, Grid]:
+    """The part of labels (nx,ny,nz) and of their grid with a class and what is nearer to it than `reach`.
+
+    It has a voxel more on each side, if the grid does, so that distances near the class are those of the whole volume.
+
+    Args:
+        labels: On any device; the class is among them.
+        value: The class.
+        grid: That of the labels.
+        reach: A length, in the grid's unit.
+    """
+    mask = labels == value
+    rows = mask.any(2)
+    part = []
+    for along, size, step in zip((rows.any(1), rows.any(0), mask.any(0).any(0)), grid.shape, grid.spacing, strict=True):
+        places, more = along.nonzero(), int(np.ceil(reach / step)) + 1
+        part.append(slice(max(0, int(places[0]) - more), min(size, int(places[-1]) + 1 + more)))
+    origin = grid.affine @ [*(along.start for along in part), 1]
+    found = labels[tuple(part)]
+    return found, Grid(origin[:3], grid.spacing, found.shape, grid.direction)
+
+
 def looks_like_labels(values: torch.Tensor) -> bool:
     """True if values are whole numbers and none is below 0."""
     return bool((values >= 0).all()) and bool((values == values.round()).all())

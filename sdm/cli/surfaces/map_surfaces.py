@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sdm.cli.common.failed_item import reason_of, tell_failed
 from sdm.cli.common.inputs import refuse_twice
-from sdm.cli.common.label_maps import LabelMaps, class_map, classes_of, labels_of, looks_like_labels
+from sdm.cli.common.label_maps import LabelMaps, around_class, class_map, classes_of, labels_of, looks_like_labels
 from sdm.cli.common.output_files import VOLUMES, inputs_of, places_in
 from sdm.cli.common.printed_line import counted
 from sdm.cli.common.progress import FileProgress
@@ -123,13 +123,15 @@ class MapSurfaces:
             return
         labels = labels_of(found, source)
         values = classes_of(labels, options.classes, source)
+        # As far as a Gaussian is followed.
+        reach = max(self.level, 0.0) + 4 * (options.smooth or 0.0)
         labels = labels.to(options.device)
         for value in values:
-            begin = time.perf_counter()
+            begin, what = time.perf_counter(), f"{source}, class {value}"
             several = named or len(values) > 1
             own = target.with_name(f"{target.stem}_{value}{target.suffix}") if several else target
-            whole = class_map(labels, value, found.grid, source, options)
-            self._write_one(whole, f"{source}, class {value}", own, begin, progress)
+            part = around_class(labels, value, found.grid, reach)
+            self._write_one(class_map(part[0], value, part[1], source, options), what, own, begin, progress)
 
     def _has_labels(self, found: SDM) -> bool:
         # A file that tells of its signs is a map of sdm's.
@@ -151,7 +153,7 @@ class MapSurfaces:
         save_mesh(mesh, target)
         self._written.append(target)
         progress.print(
-            f"{shown(what)}: {counted(len(mesh), 'triangle')}, {found.grid.summary}, "
+            f"{shown(what)}: {counted(len(mesh), 'triangle')}, "
             f"{time.perf_counter() - begin:.2f} s on {self.labels.device}, written to {shown(target)}"
         )
         if not look_at(mesh).is_closed(mesh):

@@ -103,6 +103,25 @@ def test_one_class(place):
     assert solid("larger.ply").volume > 1.2 * solid("one.ply").volume
 
 
+@pytest.mark.parametrize(("level", "smooth"), [(0.0, None), (1.7, None), (-0.3, None), (0.0, 0.9), (1.1, 0.7)])
+def test_a_class_is_measured_as_in_the_whole_volume(tmp_path, monkeypatch, level, smooth):
+    """Only what is around it is measured."""
+    monkeypatch.chdir(tmp_path)
+    values = np.zeros((40, 30, 50), np.uint8)
+    values[6:9, 5:25, 20:30] = values[6:20, 5:9, 20:24] = 3
+    values[30, 20, 45] = 3 if smooth is None else 0
+    values[25:35, 4:9, 3:9] = 2
+    nib.save(nib.Nifti1Image(values, AFFINE), "two.nii")
+    more = [] if smooth is None else ["--smooth", str(smooth)]
+    assert run(f"two.nii -o part.ply --label 3 --level {level} {' '.join(more)}") == 0
+    assert main(["edt", "two.nii", "-o", "map.npz", "--classes", "3", "--device", "cpu", *more]) == 0
+    found, expected = solid("part.ply"), sdm.load("map.npz").to_mesh(level).to_trimesh()
+    assert len(found.faces) == len(expected.faces)
+    assert found.volume == pytest.approx(expected.volume, rel=1e-5)
+    assert found.area == pytest.approx(expected.area, rel=1e-5)
+    np.testing.assert_allclose(found.bounds, expected.bounds, atol=1e-4)
+
+
 def test_an_image_at_a_level(place):
     """Whole numbers are an image's where a level is given: of less than it, as maps have it, is inside."""
     values = np.full((9, 9, 9), 200, np.uint8)
