@@ -50,6 +50,30 @@ def test_what_is_no_cochlea_is_not_trusted(what: str) -> None:
         result.require()
 
 
+@pytest.mark.parametrize("voxel", [0.4, 0.5, 0.7, 0.8, 1.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_block_is_no_cochlea_whatever_the_voxels(voxel: float, seed: int) -> None:
+    grid = Grid(GRID.origin, (voxel,) * 3, [round(length / voxel) for length in (14.4, 12.6, 8.4)])
+    x, y, z = (axis.abs() for axis in grid.points().double().unbind(-1))
+    noise = torch.from_numpy(np.random.default_rng(seed).standard_normal(grid.shape))
+    block = torch.maximum(torch.maximum(x - 3, y - 2), z - 1)
+    image = 1700 - 1600 * torch.sigmoid(-block / 0.15) + 100 * noise
+    result = fit_shape(image, grid, ExactBackend(Cochlea(1_000), "cpu"), options=OPTIONS)
+    assert any("not a shape of this family" in problem for problem in result.diagnosis.problems)
+
+
+@pytest.mark.parametrize("voxel", [0.5, 0.7, 1.0])
+def test_a_cochlea_of_coarse_voxels_is_one(voxel: float) -> None:
+    """Though the blur is another than the one that is named."""
+    from sdm.fit import Scanner, random_state, simulate
+
+    backend = ExactBackend(Cochlea(1_000), "cpu")
+    truth = random_state(backend, 2, edge=0.1)
+    image = simulate(backend, truth, Scanner(spacing=voxel, blur=0.2, noise=100.0), seed=2)
+    result = fit_shape(image.values, image.grid, backend, options=FitOptions(blur=0.5))
+    assert not any("not a shape of this family" in problem for problem in result.diagnosis.problems)
+
+
 def test_steps_that_do_not_converge_are_said() -> None:
     from sdm.fit import Scanner, random_state, simulate
 
