@@ -52,9 +52,7 @@ def test_an_image_in_another_unit_than_that_of_files_of_maps_is_told_of(unit, sa
     assert (f"labels.nii.gz counts in {said}, and so do distances" in err) if said else err == ""
 
 
-def test_several_volumes_in_one_file_are_to_be_parted_and_a_folder_is_none(tmp_path, capfd):
+def test_several_volumes_in_one_file_are_to_be_parted(tmp_path, capfd):
     nib.save(nib.Nifti1Image(np.ones((4, 4, 4, 2), np.uint8), np.eye(4)), tmp_path / "two.nii.gz")
     assert main(["edt", str(tmp_path / "two.nii.gz"), "-o", str(tmp_path / "d.nii.gz")]) == 2
     assert "(4, 4, 4, 2); an image of three dimensions is needed; take one of its volumes" in capfd.readouterr().err
-    assert main(["edt", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
-    assert "is a folder; give one label volume" in capfd.readouterr().err
