@@ -199,3 +199,17 @@ def test_what_is_refused_of_folders(labels, words, message, capsys):
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
+
+
+def test_a_folder_at_an_address(labels):
+    memory = pytest.importorskip("fsspec", reason="needs fsspec, of the extra remote").filesystem("memory")
+    memory.store.clear()
+    for name in ("a.nii.gz", "sub/b.nii.gz"):
+        memory.pipe(f"/labels/{name}", Path("labels.nii.gz").read_bytes())
+    words = ["memory://labels", "-o", "memory://maps", "--classes", "7", "--device", "cpu"]
+    assert main(["edt", *words]) == 0
+    assert sorted(memory.find("/maps")) == ["/maps/a_7.nii.gz", "/maps/sub/b_7.nii.gz"]
+    Path("b.nii.gz").write_bytes(memory.cat("/maps/sub/b_7.nii.gz"))
+    memory.store.clear()
+    assert main(["edt", "labels.nii.gz", "-o", "one.nii.gz", "--classes", "7", "--device", "cpu"]) == 0
+    assert sdm.load("b.nii.gz").values.equal(sdm.load("one.nii.gz").values)

@@ -50,7 +50,7 @@ def test_what_is_no_cochlea_is_not_trusted(what: str) -> None:
         result.require()
 
 
-@pytest.mark.parametrize("voxel", [0.4, 0.5, 0.7, 0.8, 1.0])
+@pytest.mark.parametrize("voxel", [0.4, 0.5, 0.7, 0.8, 0.9, 1.0])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_block_is_no_cochlea_whatever_the_voxels(voxel: float, seed: int) -> None:
     grid = Grid(GRID.origin, (voxel,) * 3, [round(length / voxel) for length in (14.4, 12.6, 8.4)])
