@@ -15,12 +15,12 @@ from sdm.fit.model.prior import Prior
 from sdm.fit.solve.solver import Outcome, Point
 
 # An answer is trusted from here on. A right shape explains more than 0.95 of what is around it, the best of wrong
-# ones (balls, tubes, blocks) less than 0.8: tests/unit/fit/solve/test_no_cochlea.py.
+# ones (balls, tubes, blocks) of 0.5 mm voxels less than 0.8: tests/unit/fit/solve/test_no_cochlea.py.
 LEAST_EXPLAINED = 0.85
 # The mean of 3^3 voxels, which takes noise away, takes away as much of a shape of so few voxels that a block of 0.7 mm
 # voxels is explained to 0.89, of 0.95 mm to 0.94. Voxel by voxel blocks are to 0.78 at most (0.9 mm, contrast 8 times
-# the noise), right shapes fitted with a blur of 0.2 for 0.5 mm, or 0.5 for 0.2, to 0.83 at least.
-FEW_VOXELS = 500
+# the noise), right shapes, fitted with a blur of 0.2 for 0.5 mm or 0.5 for 0.2, to 0.80 at least (0.5 mm).
+FEW_VOXELS = 125
 LEAST_EXPLAINED_BY_VOXEL = 0.8
 # A fit to the coarse image that explains less than this is not worth a fine one.
 HOPELESS = 0.5
