@@ -47,11 +47,14 @@ def _files(
         if (found.st_dev, found.st_ino) in seen:
             continue
         seen.add((found.st_dev, found.st_ino))
-        inner = [entry for entry in entries if _is_folder(entry)]
-        items = [entry for entry in inner if whole and entry.name.lower().endswith(whole)]
-        folders = [(entry.name, entry.path) for entry in inner if entry not in items]
-        waiting += [(path, (*above, name)) for name, path in sorted(folders, reverse=True)]
-        items += [e for e in entries if e.name.lower().endswith(endings) and not _is_folder(e) and _is_file(e)]
+        items, inner = [], []
+        for entry in entries:
+            name = entry.name.lower()
+            if _is_folder(entry):
+                (items if name.endswith(whole) else inner).append(entry)
+            elif name.endswith(endings) and _is_file(entry):
+                items.append(entry)
+        waiting += [(e.path, (*above, e.name)) for e in sorted(inner, key=lambda e: e.name, reverse=True)]
         if items and not os.access(folder, os.X_OK):
             # Its names may be read, and nothing else.
             refuse(PermissionError(errno.EACCES, os.strerror(errno.EACCES), folder))

@@ -55,9 +55,12 @@ class VtkFile:
             raise ValueError(f"it is compressed by {self.root.get('compressor')}, which is not read: use zlib or none")
         self._order = ">" if self.root.get("byte_order") == "BigEndian" else "<"
         self._counter = np.dtype(self._order + TYPES[self.root.get("header_type", "UInt32")])
-        self._is_text = marker >= 0 and data.find(b'encoding="base64"', marker, marker + 200) >= 0
-        # Parts of it are looked at, not copied.
-        self._appended = memoryview(data)[data.index(b"_", marker) + 1 :] if marker >= 0 else memoryview(b"")
+        self._is_text, self._appended = False, memoryview(b"")
+        if marker >= 0:
+            begin = marker + len(APPENDED)
+            self._is_text = b'encoding="base64"' in data[begin : begin + 200]
+            # Parts of it are looked at, not copied.
+            self._appended = memoryview(data)[data.index(b"_", begin) + 1 :]
 
     def values(self, array: ET.Element) -> np.ndarray:
         """The numbers (N,) or (N,components) of a DataArray."""
