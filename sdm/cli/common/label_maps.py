@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from sdm.cli.common.failed_item import reason_of, tell_failed
 from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.common.one_after_other import one_after_other
 from sdm.cli.common.output_files import VOLUMES, plan
 from sdm.cli.common.printed_line import counted, print_line
 from sdm.cli.common.progress import FileProgress
@@ -21,11 +21,8 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.errors import SDMError
 from sdm.io import check_target, load, save
-from sdm.io.files.stand_in import fetched, shown
+from sdm.io.files.stand_in import shown
 from sdm.io.maps.formats import FORMATS
-from sdm.runtime.pipeline.outcome import Failed
-from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.pipeline.stages import numbered, one_by_one
 
 # Whole numbers of float32, as which images are read.
 LARGEST = 1 << 24
@@ -91,20 +88,11 @@ def write_maps_of_volumes(volumes: list[Path], out: Path, options: LabelMaps, en
     place = os.path.realpath(out)
     # What is written can only be one of these.
     near = [source for source, _ in jobs if os.path.realpath(source).startswith(f"{place}{os.sep}")]
-    failed: list[tuple[str, str]] = []
-    with FileProgress(len(jobs)) as progress:
 
-        def write(job: tuple[Path, Path]) -> None:
-            progress.begin(job[0].name)
-            with fetched(job[0]):
-                write_label_maps(*job, options, always_named=True, inputs=near)
+    def write(source: Path, target: Path, _: FileProgress) -> None:
+        write_label_maps(source, target, options, always_named=True, inputs=near)
 
-        for outcome in one_by_one(numbered(jobs), "maps", write, times=StageTimes()):
-            if isinstance(outcome, Failed):
-                reason = reason_of(outcome, alone=len(jobs) == 1, resumed=False)
-                failed.append((shown(jobs[outcome.number][0]), reason))
-            progress.end()
-    return tell_failed(failed, len(jobs), VOLUMES.one, VOLUMES.many)
+    return one_after_other(jobs, "maps", write, VOLUMES.one, VOLUMES.many)
 
 
 def write_label_maps(
@@ -136,20 +124,20 @@ def write_label_maps(
     where = labels.to(options.device)
     for value, target in zip(values, targets, strict=True):
         begin = time.perf_counter()
-        save(class_map(where, value, field.grid, source, options), target)
+        mask = where == value
+        save(class_map(mask, value, field.grid, source, options), target)
         print_line(
-            f"{source.name}: class {value}, {counted(int((where == value).sum()), 'voxel')}, {field.grid.summary}, "
+            f"{source.name}: class {value}, {counted(int(mask.sum()), 'voxel')}, {field.grid.summary}, "
             f"{time.perf_counter() - begin:.2f} s on {options.device}, written to {shown(target)}"
         )
 
 
-def class_map(labels: torch.Tensor, value: int, grid: Grid, source: Path, options: LabelMaps) -> SDM:
-    """The distance map of a class of the volume `source`, on the device of its labels (nx,ny,nz).
+def class_map(mask: torch.Tensor, value: int, grid: Grid, source: Path, options: LabelMaps) -> SDM:
+    """The distance map of a class of the volume `source`, on the device of its mask (nx,ny,nz).
 
     Raises:
         SDMError: The class fills the volume, or a smoothing that leaves nothing of it.
     """
-    mask = labels == value
     if options.smooth is not None:
         # Its package imports what all else here needs none of.
         from sdm.deepsdf.samples.label_surface import label_map
@@ -161,25 +149,23 @@ def class_map(labels: torch.Tensor, value: int, grid: Grid, source: Path, option
     return SDM(found, grid, sign=None if options.signed else "none")
 
 
-def around_class(labels: torch.Tensor, value: int, grid: Grid, reach: float) -> tuple[torch.Tensor, Grid]:
-    """The part of labels (nx,ny,nz) and of their grid with a class and what is nearer to it than `reach`.
+def around_class(mask: torch.Tensor, grid: Grid, reach: float) -> tuple[torch.Tensor, Grid]:
+    """The part of a class's mask (nx,ny,nz) and of its grid with the class and what is nearer to it than `reach`.
 
     It has a voxel more on each side, if the grid does, so that distances near the class are those of the whole volume.
 
     Args:
-        labels: On any device; the class is among them.
-        value: The class.
-        grid: That of the labels.
+        mask: On any device; not empty.
+        grid: That of the mask.
         reach: A length, in the grid's unit.
     """
-    mask = labels == value
     rows = mask.any(2)
     part = []
     for along, size, step in zip((rows.any(1), rows.any(0), mask.any(0).any(0)), grid.shape, grid.spacing, strict=True):
         places, more = along.nonzero(), int(np.ceil(reach / step)) + 1
         part.append(slice(max(0, int(places[0]) - more), min(size, int(places[-1]) + 1 + more)))
     origin = grid.affine @ [*(along.start for along in part), 1]
-    found = labels[tuple(part)]
+    found = mask[tuple(part)]
     return found, Grid(origin[:3], grid.spacing, found.shape, grid.direction)
 
 

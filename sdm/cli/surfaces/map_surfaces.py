@@ -6,9 +6,9 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sdm.cli.common.failed_item import reason_of, tell_failed
 from sdm.cli.common.inputs import refuse_twice
 from sdm.cli.common.label_maps import LabelMaps, around_class, class_map, classes_of, labels_of, looks_like_labels
+from sdm.cli.common.one_after_other import one_after_other
 from sdm.cli.common.output_files import VOLUMES, inputs_of, places_in
 from sdm.cli.common.printed_line import counted
 from sdm.cli.common.progress import FileProgress
@@ -19,12 +19,9 @@ from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError, SDMError
 from sdm.inspect.quick_look import look_at
 from sdm.io import load
-from sdm.io.files.stand_in import fetched, shown
+from sdm.io.files.stand_in import shown
 from sdm.io.maps.formats import FORMATS, check_file
 from sdm.io.meshes.write import WRITERS, ending_to_write, save_mesh
-from sdm.runtime.pipeline.outcome import Failed
-from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.pipeline.stages import numbered, one_by_one
 
 DEFAULT_ENDING = "ply"
 
@@ -93,20 +90,11 @@ class MapSurfaces:
             jobs: Pairs of a map and the mesh file to write.
             out: That file, if there is one alone; in a folder every mesh of a label has its class in its name.
         """
-        failed: list[tuple[str, str]] = []
-        with FileProgress(len(jobs)) as progress:
 
-            def write(job: tuple[Path, Path]) -> None:
-                progress.begin(job[0].name)
-                with fetched(job[0]):
-                    self._write(*job, job[1] != out, progress)
+        def write(source: Path, target: Path, progress: FileProgress) -> None:
+            self._write(source, target, target != out, progress)
 
-            for outcome in one_by_one(numbered(jobs), "surfaces", write, times=StageTimes()):
-                if isinstance(outcome, Failed):
-                    reason = reason_of(outcome, alone=len(jobs) == 1, resumed=False)
-                    failed.append((shown(jobs[outcome.number][0]), reason))
-                progress.end()
-        return tell_failed(failed, len(jobs), "map", "maps")
+        return one_after_other(jobs, "surfaces", write, "map", "maps")
 
     def _write(self, source: Path, target: Path, named: bool, progress: FileProgress) -> None:
         begin = time.perf_counter()
@@ -130,8 +118,8 @@ class MapSurfaces:
             begin, what = time.perf_counter(), f"{source}, class {value}"
             several = named or len(values) > 1
             own = target.with_name(f"{target.stem}_{value}{target.suffix}") if several else target
-            part = around_class(labels, value, found.grid, reach)
-            self._write_one(class_map(part[0], value, part[1], source, options), what, own, begin, progress)
+            mask, grid = around_class(labels == value, found.grid, reach)
+            self._write_one(class_map(mask, value, grid, source, options), what, own, begin, progress)
 
     def _has_labels(self, found: SDM) -> bool:
         # A file that tells of its signs is a map of sdm's.
