@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 import sdm
-from sdm.bench.common.correctness import compare, firm_winding, voxel_centres
+from sdm.bench.common.correctness import voxel_centres
 from sdm.bench.common.mesh_formulas import Arrays, cube, joined, sphere, torus
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
-from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
+from sdm.bench.fuzz.against_brute import refuse_wrong
+from sdm.bench.fuzz.trial import Outcome, one_sentence
 
 # Half of the points lie near the surface, as near as this share of the mesh.
 NEAR = 1e-3
@@ -101,10 +102,5 @@ def trial(rng: np.random.Generator, folder: Path, device: str = "cpu") -> Outcom
         at = {"points": (points, sdm.signed_distance(mesh, points, device=device).cpu().numpy())}
         at["map"] = voxel_centres(grid, np.arange(grid.size)), values
         for what, (places, found) in at.items():
-            tally = compare(case, places, found, brute.distance(places)[0], brute.winding_number(places))
-            if tally.wrong_signs:
-                winding = firm_winding(case, places, brute.winding_number)
-                tally = compare(case, places, found, brute.distance(places)[0], winding)
-            if not tally.fine:
-                raise Finding(f"{label}, {what}: {tally}")
+            refuse_wrong(f"{label}, {what}", case, places, found, brute)
     return Outcome(label, refused=False)

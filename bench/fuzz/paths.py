@@ -14,11 +14,12 @@ import numpy as np
 import torch
 
 import sdm
-from sdm.bench.common.correctness import compare, firm_winding, voxel_centres
+from sdm.bench.common.correctness import voxel_centres
 from sdm.bench.common.dirty_meshes import by_code as dirt
 from sdm.bench.common.mesh_formulas import Arrays, cube, joined, moved, sphere, torus
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
+from sdm.bench.fuzz.against_brute import refuse_wrong
 from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
 
 # Voxels, and points, that the brute force is asked about.
@@ -156,12 +157,7 @@ def trial(rng: np.random.Generator, folder: Path) -> Outcome:
             "points": (points[:CHECKED], distances.cpu().numpy()[:CHECKED]),
         }
         for what, (places, values) in checked.items():
-            distance = brute.distance(places)[0]
-            tally = compare(case, places, values, distance, brute.winding_number(places))
-            if tally.wrong_signs:
-                tally = compare(case, places, values, distance, firm_winding(case, places, brute.winding_number))
-            if not tally.fine:
-                raise Finding(f"{label}, {what}: {tally}")
+            refuse_wrong(f"{label}, {what}", case, places, values, brute)
     return Outcome(label, refused=False)
 
 
